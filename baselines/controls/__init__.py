@@ -1,0 +1,1 @@
+"""Control methods: floors, ceilings and simple baselines that need no training."""

@@ -1,0 +1,140 @@
+"""Files that are written whole or not at all, and images that are read whole or refused."""
+
+import io
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from geoevs.errors import GeoEvsError
+
+
+@contextmanager
+def _explain_write_failure(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise GeoEvsError(
+            f"cannot write {path} ({reason}); free space there or choose a writable folder "
+            "(nothing was changed)"
+        ) from error
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write `data` to `path` through a temporary file beside it, so that readers see old or new.
+
+    Raises:
+        GeoEvsError: the disk is full or the folder is read-only; an earlier file stays as it was.
+    """
+    path = Path(path)
+    with _explain_write_failure(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text whole or not at all (see `write_bytes`)."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `value` as indented JSON, whole or not at all (see `write_bytes`)."""
+    write_text(path, json.dumps(value, indent=1) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        GeoEvsError: the file is missing or is not JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text())
+    except FileNotFoundError as error:
+        raise GeoEvsError(f"{path} is missing; make or copy it there") from error
+    except ValueError as error:
+        raise GeoEvsError(f"{path} is not valid JSON ({error}); restore or remake it") from error
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder that becomes `path` when the block ends well, and vanishes when it fails.
+
+    An existing folder at `path` is replaced only then.
+
+    Raises:
+        GeoEvsError: the disk is full or the place is read-only.
+    """
+    path = Path(path)
+    with _explain_write_failure(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    try:
+        with _explain_write_failure(path):
+            yield temporary
+            temporary.chmod(0o755)
+            if path.exists():
+                shutil.rmtree(path)
+            os.replace(temporary, path)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Read an image file as (H, W, 3) uint8 RGB.
+
+    Raises:
+        GeoEvsError: the file is missing, truncated, or no image.
+    """
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+    except FileNotFoundError as error:
+        raise GeoEvsError(f"{path} is missing; copy it there or drop its frame") from error
+    except (OSError, SyntaxError, ValueError) as error:
+        raise GeoEvsError(f"{path} is not a whole image ({error}); download it again") from error
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Write (H, W, 3) uint8, or float in [0, 1], as PNG, whole or not at all."""
+    write_bytes(path, encode_png(image))
+
+
+def encode_png(image: np.ndarray) -> bytes:
+    """(H, W, 3) uint8, or float in [0, 1] (clipped, rounded to nearest), as PNG bytes."""
+    buffer = io.BytesIO()
+    Image.fromarray(to_uint8(image)).save(buffer, format="png", compress_level=3)
+    return buffer.getvalue()
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """Float image in [0, 1] to uint8, clipped and rounded to nearest; uint8 passes through."""
+    if image.dtype == np.uint8:
+        return image
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def to_float(image: np.ndarray) -> np.ndarray:
+    """uint8 image to float32 in [0, 1]; float images become float32."""
+    if image.dtype == np.uint8:
+        return image.astype(np.float32) / np.float32(255.0)
+    return image.astype(np.float32)

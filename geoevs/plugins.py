@@ -1,0 +1,50 @@
+"""Finding data sources and methods by the name of their folder, with no list to edit."""
+
+import importlib
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from geoevs.errors import GeoEvsError, did_you_mean
+
+
+def find_plugins(file: str, *packages: str) -> dict[str, str]:
+    """Map plugin name to module for every folder of `packages` that holds `file`.py.
+
+    A plugin's name is its folder's, with hyphens for underscores. No plugin is imported.
+    Where two packages hold the same name, the earlier one wins.
+    """
+    found: dict[str, str] = {}
+    for package in packages:
+        for root in importlib.import_module(package).__path__:
+            for path in sorted(Path(root).glob(f"*/{file}.py")):
+                folder = path.parent.name
+                found.setdefault(folder.replace("_", "-"), f"{package}.{folder}.{file}")
+    return found
+
+
+def load_plugin(kind: str, name: str, plugins: dict[str, str]) -> ModuleType:
+    """Import the plugin called `name`.
+
+    Raises:
+        GeoEvsError: there is none of that name; the sentence names the nearest one.
+    """
+    if name not in plugins:
+        raise GeoEvsError(f"there is no {kind} called '{name}'; {did_you_mean(name, plugins)}")
+    return importlib.import_module(plugins[name])
+
+
+def make_with_options(who: str, factory: Callable, options: dict, *arguments: Any) -> Any:
+    """Call `factory(*arguments, **options)`, after checking the options' names.
+
+    Raises:
+        GeoEvsError: an option that `factory` does not take; the sentence names the nearest one.
+    """
+    allowed = list(inspect.signature(factory).parameters)[len(arguments) :]
+    for option in options:
+        if option not in allowed:
+            hint = did_you_mean(option, allowed) if allowed else "it has none"
+            raise GeoEvsError(f"{who} has no option '{option}'; {hint}")
+    return factory(*arguments, **options)

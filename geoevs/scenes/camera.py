@@ -1,0 +1,89 @@
+"""A calibrated pinhole camera: OpenCV axes, pixel centres at +0.5, world z up, metres."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geoevs.errors import GeoEvsError
+
+RIGID_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera at one instant.
+
+    Args:
+        K: (3, 3) intrinsics in pixels; pixel (column i, row j) is centred at (i + 0.5, j + 0.5).
+        world_from_camera: (4, 4) rigid transform; camera axes are x right, y down, z forward.
+        height: image height in pixels.
+        width: image width in pixels.
+        name: which camera of the rig, or which target, this is.
+
+    Raises:
+        GeoEvsError: a value is not finite, a focal length is not positive, or the pose not rigid.
+    """
+
+    K: np.ndarray  # [3, 3] float64
+    world_from_camera: np.ndarray  # [4, 4] float64
+    height: int
+    width: int
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "K", np.array(self.K, np.float64))
+        object.__setattr__(self, "world_from_camera", np.array(self.world_from_camera, np.float64))
+        who = f"camera '{self.name}'"
+        if self.K.shape != (3, 3) or self.world_from_camera.shape != (4, 4):
+            raise GeoEvsError(f"{who} needs a 3x3 K and a 4x4 pose; correct its calibration")
+        if not (np.isfinite(self.K).all() and np.isfinite(self.world_from_camera).all()):
+            raise GeoEvsError(f"{who} has NaN or infinite calibration; correct K and the pose")
+        if min(self.K[0, 0], self.K[1, 1]) <= 0:
+            raise GeoEvsError(f"{who} has a focal length that is not positive; correct fx and fy")
+        rotation = self.world_from_camera[:3, :3]
+        rigid = (
+            np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
+            and np.linalg.det(rotation) > 0
+            and np.allclose(self.world_from_camera[3], [0, 0, 0, 1])
+        )
+        if not rigid:
+            raise GeoEvsError(
+                f"{who} has a pose that is not rigid; its rotation must be orthonormal, without "
+                "scale or mirroring"
+            )
+        if self.height < 1 or self.width < 1:
+            raise GeoEvsError(f"{who} has no pixels ({self.height} x {self.width}); set its size")
+
+    @property
+    def camera_from_world(self) -> np.ndarray:
+        """(4, 4) inverse of the pose, exact for a rigid transform."""
+        rotation, centre = self.world_from_camera[:3, :3], self.world_from_camera[:3, 3]
+        inverse = np.eye(4)
+        inverse[:3, :3] = rotation.T
+        inverse[:3, 3] = -rotation.T @ centre
+        return inverse
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) position in the world, metres."""
+        return self.world_from_camera[:3, 3]
+
+    @property
+    def optical_axis(self) -> np.ndarray:
+        """(3,) unit vector of the viewing direction in the world."""
+        return self.world_from_camera[:3, 2]
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the optical axis in degrees, counter-clockwise from world x (left is +)."""
+        return float(np.degrees(np.arctan2(self.optical_axis[1], self.optical_axis[0])))
+
+    def resized(self, height: int, width: int) -> "Camera":
+        """The same field of view on another pixel grid; fx and fy scale separately."""
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return replace(self, K=scale @ self.K, height=height, width=width)
+
+
+def angle_between(axis: np.ndarray, other: np.ndarray) -> float:
+    """Angle in degrees between two (3,) unit vectors, exact near 0 and 180."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(axis, other)), np.dot(axis, other))))

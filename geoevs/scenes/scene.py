@@ -1,0 +1,198 @@
+"""What a data source hands over: frames of camera images and LiDAR points, boxes, and a rig."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import pandas as pd
+
+from geoevs.errors import GeoEvsError
+from geoevs.plugins import find_plugins, load_plugin, make_with_options
+from geoevs.scenes.camera import Camera
+
+TRACK_COLUMNS = (
+    "frame",
+    "track",
+    "label",
+    *("x", "y", "z", "length", "width", "height", "yaw"),
+    "moving",
+)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """LiDAR points of one frame, in the world.
+
+    Args:
+        xyz: positions in metres.
+        rgb: colours in [0, 1]; zero where `camera` is -1.
+        camera: index into the scene's cameras of the image that gave the colour, or -1 for none.
+        sensor: which LiDAR of the rig measured the point.
+        beam: the laser of that LiDAR, counted from the top; 0 where the data do not say.
+    """
+
+    xyz: np.ndarray  # [N, 3] float32
+    rgb: np.ndarray  # [N, 3] float32
+    camera: np.ndarray  # [N] int8
+    sensor: np.ndarray  # [N] uint8
+    beam: np.ndarray  # [N] uint16
+
+    @classmethod
+    def uncoloured(cls, xyz: np.ndarray, sensor: np.ndarray, beam: np.ndarray) -> "PointCloud":
+        """Points that no camera has coloured yet, in the store's number types."""
+        return cls(
+            xyz=np.ascontiguousarray(xyz, np.float32),
+            rgb=np.zeros((len(xyz), 3), np.float32),
+            camera=np.full(len(xyz), -1, np.int8),
+            sensor=np.asarray(sensor, np.uint8),
+            beam=np.asarray(beam, np.uint16),
+        )
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, keep: np.ndarray) -> "PointCloud":
+        """The points that a boolean mask or an index array picks, in order."""
+        return PointCloud(
+            self.xyz[keep], self.rgb[keep], self.camera[keep], self.sensor[keep], self.beam[keep]
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant as a source gives it: every camera's image, and the LiDAR sweep.
+
+    `cameras` and `images` share their keys, the camera names, in the rig's order; images are
+    (H, W, 3) uint8 at the run's resolution, free of lens distortion.
+    """
+
+    frame: int
+    timestamp: float
+    cameras: dict[str, Camera]
+    images: dict[str, np.ndarray]
+    points: PointCloud
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The roles that the protocol needs, and how the LiDAR is split without leaks.
+
+    Args:
+        front, front_left, front_right: camera names.
+        lidar_split: `sensor` (sensor 0 scores, the others condition methods) or `beam`
+            (odd beams score, even beams condition).
+    """
+
+    front: str
+    front_left: str
+    front_right: str
+    lidar_split: str
+
+    def scores(self, points: PointCloud) -> np.ndarray:
+        """(N,) bool: points that may score a method; the others may condition it, never both."""
+        if self.lidar_split == "sensor":
+            return points.sensor == 0
+        return points.beam % 2 == 1
+
+
+@dataclass(frozen=True)
+class SceneInfo:
+    """What a scene is and where it comes from."""
+
+    name: str
+    source: str
+    licence: str
+    rig: Rig
+    cameras: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """A scene as a source gives it: read `frames` once, one frame in memory at a time.
+
+    `tracks` has TRACK_COLUMNS: box centres and sizes in metres, yaw in degrees about world z,
+    `length` along the heading, `moving` true for a track that moves during the scene.
+    """
+
+    info: SceneInfo
+    tracks: pd.DataFrame
+    frames: Iterator[Frame]
+    frame_count: int
+
+
+class Truth(NamedTuple):
+    """Dense truth at a pose that no camera recorded."""
+
+    rgb: np.ndarray  # [H, W, 3] uint8
+    depth: np.ndarray  # [H, W] float32 metres along the optical axis, 0 = none
+
+
+class SceneSource(Protocol):
+    """A kind of driving data: the class `Source` in `geoevs/scenes/sources/<name>/source.py`.
+
+    It is made as `Source(height, width, **options)`; options come from the run's config.
+    """
+
+    has_truth: bool
+
+    def open(self, scene: "SceneRef") -> SceneRecord:
+        """Open a scene; its frames are read or rendered as they are iterated."""
+        ...
+
+    def truth(self, scene: "SceneRef", views: Sequence[tuple[Camera, int]]) -> Iterable[Truth]:
+        """Dense truth for (camera, frame) pairs, in order; only where `has_truth`."""
+        ...
+
+
+class SceneRef(NamedTuple):
+    """A scene and, optionally, a range of its frames: `002` or `002@59-70` in the config."""
+
+    name: str
+    first: int | None = None
+    last: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> "SceneRef":
+        """Read `NAME` or `NAME@FIRST-LAST` (both ends included).
+
+        Raises:
+            GeoEvsError: the text is of neither form, or would leave its folder.
+        """
+        name, at, span = text.partition("@")
+        first, dash, last = span.partition("-")
+        whole = not at
+        ranged = bool(dash) and first.isdigit() and last.isdigit() and int(first) <= int(last)
+        if not name or Path(name).name != name or not (whole or ranged):
+            raise GeoEvsError(
+                f"scene '{text}' is not of the form NAME or NAME@FIRST-LAST, such as 002@59-70"
+            )
+        return cls(name) if whole else cls(name, int(first), int(last))
+
+    def holds(self, frame: int) -> bool:
+        """Whether the range, if there is one, includes `frame`."""
+        return self.first is None or self.first <= frame <= self.last
+
+    def overlaps(self, other: "SceneRef") -> bool:
+        """Whether the two share a frame of the same scene."""
+        if self.name != other.name:
+            return False
+        if self.first is None or other.first is None:
+            return True
+        return self.first <= other.last and other.first <= self.last
+
+
+def find_sources() -> dict[str, str]:
+    """Every data source's name and module."""
+    return find_plugins("source", "geoevs.scenes.sources")
+
+
+def load_source(name: str, height: int, width: int, options: dict) -> SceneSource:
+    """Make the data source called `name` for one resolution.
+
+    Raises:
+        GeoEvsError: no such source, or an option that it does not have.
+    """
+    module = load_plugin("data source", name, find_sources())
+    return make_with_options(f"data source '{name}'", module.Source, options, height, width)

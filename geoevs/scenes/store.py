@@ -1,0 +1,188 @@
+"""The scene store: a folder that nerfstudio, gsplat and COLMAP users can open.
+
+transforms.json            nerfstudio's format, plus camera, frame, timestamp and split
+images/<camera>/<frame>.png
+lidar/<frame>.npz          xyz, rgb, camera, sensor, beam (see PointCloud)
+tracks.parquet             boxes, one row a frame and track (see TRACK_COLUMNS)
+scene.json                 name, source, licence, rig; written last
+"""
+
+import dataclasses
+import io
+import zipfile
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.io import (
+    new_folder,
+    read_image,
+    read_json,
+    to_float,
+    write_bytes,
+    write_image,
+    write_json,
+)
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
+
+# nerfstudio's cameras are OpenGL's: y up, z backward.
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+POINT_FIELDS = [field.name for field in dataclasses.fields(PointCloud)]
+
+
+def camera_to_json(camera: Camera) -> dict:
+    """One camera as nerfstudio's per-frame fields (OPENCV model, no distortion)."""
+    pose = camera.world_from_camera @ OPENCV_FROM_OPENGL
+    return {
+        "fl_x": camera.K[0, 0],
+        "fl_y": camera.K[1, 1],
+        "cx": camera.K[0, 2],
+        "cy": camera.K[1, 2],
+        "w": camera.width,
+        "h": camera.height,
+        **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
+        "transform_matrix": pose.tolist(),
+    }
+
+
+def camera_from_json(entry: dict, name: str) -> Camera:
+    """Inverse of `camera_to_json`.
+
+    Raises:
+        GeoEvsError: a field is missing, or the calibration is impossible (see Camera).
+    """
+    try:
+        K = [[entry["fl_x"], 0, entry["cx"]], [0, entry["fl_y"], entry["cy"]], [0, 0, 1]]
+        pose = np.array(entry["transform_matrix"], np.float64) @ OPENCV_FROM_OPENGL
+        return Camera(K, pose, entry["h"], entry["w"], name)
+    except (KeyError, TypeError, ValueError) as error:
+        raise GeoEvsError(
+            f"camera '{name}' lacks a readable {error}; write the scene store again"
+        ) from error
+
+
+def write_scene(
+    folder: Path, info: SceneInfo, tracks: pd.DataFrame, frames: Iterator[Frame]
+) -> None:
+    """Write a scene store, whole or not at all, reading one frame at a time.
+
+    Raises:
+        GeoEvsError: the scene has no frame, a camera lacks an image, or nothing can be written.
+    """
+    with new_folder(folder) as partial:
+        entries = []
+        for frame in frames:
+            _check_frame(info, frame)
+            for name, camera in frame.cameras.items():
+                path = f"images/{name}/{frame.frame:06d}.png"
+                write_image(partial / path, frame.images[name])
+                entries.append(
+                    {
+                        "file_path": path,
+                        "camera": name,
+                        "frame": frame.frame,
+                        "timestamp": frame.timestamp,
+                        "split": "train",
+                        **camera_to_json(camera),
+                    }
+                )
+            _write_points(partial / f"lidar/{frame.frame:06d}.npz", frame.points)
+        if not entries:
+            raise GeoEvsError(f"scene '{info.name}' has no frames; check its frame range")
+        write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
+        write_json(partial / "transforms.json", {"camera_model": "OPENCV", "frames": entries})
+        write_json(partial / "scene.json", dataclasses.asdict(info))
+
+
+def _check_frame(info: SceneInfo, frame: Frame) -> None:
+    where = f"frame {frame.frame} of scene '{info.name}'"
+    for name in info.cameras:
+        if name not in frame.cameras or name not in frame.images:
+            raise GeoEvsError(f"{where} has no camera '{name}'; supply it or leave out the frame")
+        camera, image = frame.cameras[name], frame.images[name]
+        if image.shape != (camera.height, camera.width, 3):
+            raise GeoEvsError(
+                f"{where}: camera '{name}' is {camera.height} x {camera.width} but its image is "
+                f"{image.shape[0]} x {image.shape[1]}; resize them together"
+            )
+    if not np.isfinite(frame.points.xyz).all():
+        raise GeoEvsError(f"{where} has LiDAR points that are NaN or infinite; drop those rows")
+
+
+def _write_points(path: Path, points: PointCloud) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{name: getattr(points, name) for name in POINT_FIELDS})
+    write_bytes(path, buffer.getvalue())
+
+
+class Scene:
+    """A scene store opened for reading; images and points are read when asked for.
+
+    Raises:
+        GeoEvsError: the folder is no scene store, or a camera lacks one of the frames.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+        described = read_json(self.folder / "scene.json")
+        try:
+            rig = Rig(**described.pop("rig"))
+            self.info = SceneInfo(**{**described, "rig": rig})
+        except (KeyError, TypeError, AttributeError) as error:
+            raise GeoEvsError(
+                f"{self.folder / 'scene.json'} describes no scene ({error}); remake the store"
+            ) from error
+        self.cameras: tuple[str, ...] = tuple(self.info.cameras)
+        self._entries = {}
+        for entry in read_json(self.folder / "transforms.json")["frames"]:
+            self._entries[entry["camera"], entry["frame"]] = entry
+        self.frames: tuple[int, ...] = tuple(sorted({frame for _, frame in self._entries}))
+        for frame in self.frames:
+            for camera in self.cameras:
+                if (camera, frame) not in self._entries:
+                    raise GeoEvsError(
+                        f"{self.folder / 'transforms.json'} has no camera '{camera}' in frame "
+                        f"{frame}; add the image or remove the frame"
+                    )
+
+    def camera(self, name: str, frame: int) -> Camera:
+        """The calibrated camera `name` in `frame`."""
+        return camera_from_json(self._entry(name, frame), name)
+
+    def image(self, name: str, frame: int) -> np.ndarray:
+        """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`."""
+        return to_float(read_image(self.folder / self._entry(name, frame)["file_path"]))
+
+    def points(self, frame: int) -> PointCloud:
+        """The coloured LiDAR points of `frame`."""
+        path = self.folder / f"lidar/{frame:06d}.npz"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return PointCloud(**{name: file[name] for name in POINT_FIELDS})
+        except FileNotFoundError as error:
+            raise GeoEvsError(f"{path} is missing; remake the scene store") from error
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise GeoEvsError(f"{path} is not whole ({error}); remake the scene store") from error
+
+    @cached_property
+    def tracks(self) -> pd.DataFrame:
+        """Boxes of moving and parked objects, one row a frame and track (see TRACK_COLUMNS)."""
+        return pd.read_parquet(self.folder / "tracks.parquet")
+
+    def _entry(self, name: str, frame: int) -> dict:
+        if name not in self.cameras:
+            raise GeoEvsError(
+                f"scene '{self.info.name}' has no camera '{name}'; "
+                f"{did_you_mean(name, self.cameras)}"
+            )
+        if frame not in self.frames:
+            raise GeoEvsError(
+                f"scene '{self.info.name}' has no frame {frame} "
+                f"(it has {self.frames[0]} to {self.frames[-1]})"
+            )
+        return self._entries[name, frame]
