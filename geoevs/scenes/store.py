@@ -158,6 +158,10 @@ class Scene:
         """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`."""
         return to_float(read_image(self.folder / self._entry(name, frame)["file_path"]))
 
+    def timestamp(self, frame: int) -> float:
+        """Seconds at which `frame` was recorded."""
+        return self._entry(self.cameras[0], frame)["timestamp"]
+
     def points(self, frame: int) -> PointCloud:
         """The coloured LiDAR points of `frame`."""
         path = self.folder / f"lidar/{frame:06d}.npz"

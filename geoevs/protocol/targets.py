@@ -1,0 +1,179 @@
+"""Target poses of every split, and the sources each one allows (paper sections 4.1 to 4.4)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_json, write_json
+from geoevs.scenes.camera import Camera, angle_between
+from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
+
+ALL_CAMERAS = "all-cameras"
+FRONT_SIDE = "front-side"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One view to synthesise.
+
+    Args:
+        split: `observed`, `interpolation`, `extrapolation` or `pose-sweep`.
+        frame: the instant.
+        camera: its calibration; `camera.name` names the target within the frame.
+        sources: the set of source cameras, ALL_CAMERAS or FRONT_SIDE.
+        pose_offset: angle in degrees between its optical axis and the front camera's.
+        lateral_shift: metres to the left, along the horizontal normal of the ego heading.
+    """
+
+    split: str
+    frame: int
+    camera: Camera
+    sources: str
+    pose_offset: float
+    lateral_shift: float
+
+    @property
+    def key(self) -> str:
+        """Name of the target within its scene, usable as a path: `<camera>/<frame>`."""
+        return f"{self.camera.name}/{self.frame:06d}"
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a camera recorded this view, so that its image is dense truth."""
+        return self.split in ("observed", "interpolation")
+
+
+def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
+    """The cameras in a set of sources, in the scene's order."""
+    if sources == FRONT_SIDE:
+        sides = (scene.info.rig.front_left, scene.info.rig.front_right)
+        return tuple(name for name in scene.cameras if name in sides)
+    return scene.cameras
+
+
+def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, name: str) -> Camera:
+    """A camera between the front one and a side one, shifted sideways (paper section 4.3).
+
+    Args:
+        front: gives the intrinsics, pitch and roll, and the ego heading.
+        side: the front-side camera to turn towards.
+        angle: yaw in degrees from the front camera towards the side one.
+        lateral: metres to the left, horizontal and perpendicular to the heading.
+        name: the new camera's name.
+
+    Returns:
+        A camera whose centre lies on the line between the two at the same fraction as its yaw.
+
+    Raises:
+        GeoEvsError: the side camera is not turned that far.
+    """
+    gap = (side.yaw - front.yaw + 180.0) % 360.0 - 180.0
+    if angle > abs(gap):
+        raise GeoEvsError(
+            f"target '{name}' turns {angle} degrees but camera '{side.name}' is only "
+            f"{abs(gap):.1f} degrees from '{front.name}'; lower protocol.pose_sweep.angles"
+        )
+    fraction = angle / abs(gap)
+    turn = np.radians(fraction * gap)
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    heading = front.optical_axis[:2] / np.linalg.norm(front.optical_axis[:2])
+    left = np.array([-heading[1], heading[0], 0.0])
+    pose = np.eye(4)
+    pose[:3, :3] = rotation @ front.world_from_camera[:3, :3]
+    pose[:3, 3] = (1 - fraction) * front.centre + fraction * side.centre + lateral * left
+    return Camera(front.K, pose, front.height, front.width, name)
+
+
+def make_targets(scene: Scene, protocol: dict) -> list[Target]:
+    """Every target of a scene under the config's `protocol` section, in a fixed order."""
+    rig = scene.info.rig
+    targets: list[Target] = []
+    for position, frame in enumerate(scene.frames):
+        front = scene.camera(rig.front, frame)
+        sides = {
+            "left": scene.camera(rig.front_left, frame),
+            "right": scene.camera(rig.front_right, frame),
+        }
+        for name in scene.cameras:
+            camera = scene.camera(name, frame)
+            offset = angle_between(camera.optical_axis, front.optical_axis)
+            targets.append(Target("observed", frame, camera, ALL_CAMERAS, offset, 0.0))
+        targets.append(Target("interpolation", frame, _renamed(front), FRONT_SIDE, 0.0, 0.0))
+        targets += _extrapolation(front, sides, frame, protocol["lateral"])
+        if position % protocol["pose_sweep"]["every"] == 0:
+            targets += _pose_sweep(front, sides, frame, protocol)
+    return targets
+
+
+def _renamed(front: Camera) -> Camera:
+    return Camera(
+        front.K, front.world_from_camera, front.height, front.width, f"interpolation-{front.name}"
+    )
+
+
+def _extrapolation(
+    front: Camera, sides: dict[str, Camera], frame: int, shifts: list[float]
+) -> Iterator[Target]:
+    for side, camera in sides.items():
+        half = abs((camera.yaw - front.yaw + 180.0) % 360.0 - 180.0) / 2
+        for shift in shifts:
+            name = f"extrapolation-{side}{shift:+g}m"
+            virtual = virtual_camera(front, camera, half, shift, name)
+            yield _virtual_target("extrapolation", frame, virtual, front, shift)
+
+
+def _pose_sweep(
+    front: Camera, sides: dict[str, Camera], frame: int, protocol: dict
+) -> Iterator[Target]:
+    for angle in protocol["pose_sweep"]["angles"]:
+        for side, camera in sides.items():
+            for shift in protocol["lateral"]:
+                name = f"pose-sweep-{side}{angle:g}deg{shift:+g}m"
+                virtual = virtual_camera(front, camera, angle, shift, name)
+                yield _virtual_target("pose-sweep", frame, virtual, front, shift)
+
+
+def _virtual_target(split: str, frame: int, camera: Camera, front: Camera, shift: float) -> Target:
+    offset = angle_between(camera.optical_axis, front.optical_axis)
+    return Target(split, frame, camera, ALL_CAMERAS, offset, shift)
+
+
+def write_targets(path: Path, targets: list[Target]) -> None:
+    """Write targets as JSON, cameras in nerfstudio's fields, whole or not at all."""
+    entries = [
+        {
+            "split": target.split,
+            "frame": target.frame,
+            "name": target.camera.name,
+            "sources": target.sources,
+            "pose_offset": target.pose_offset,
+            "lateral_shift": target.lateral_shift,
+            **camera_to_json(target.camera),
+        }
+        for target in targets
+    ]
+    write_json(path, entries)
+
+
+def read_targets(path: Path) -> list[Target]:
+    """Read what `write_targets` wrote.
+
+    Raises:
+        GeoEvsError: the file is missing or not a target list.
+    """
+    return [
+        Target(
+            entry["split"],
+            entry["frame"],
+            camera_from_json(entry, entry["name"]),
+            entry["sources"],
+            entry["pose_offset"],
+            entry["lateral_shift"],
+        )
+        for entry in read_json(path)
+    ]
