@@ -5,6 +5,8 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
+from geoevs.adapter import Views
+from geoevs.geometry.lidar import complete_depth
 from geoevs.projection import unproject_depth
 from geoevs.scenes.camera import Camera
 
@@ -33,10 +35,19 @@ def lift_view(
 
 
 def lift_frame(
-    cameras: Mapping[str, Camera],
-    images: Mapping[str, np.ndarray],  # each [H, W, 3] float
+    views: Views,
+    frame: int,
     depths: Mapping[str, np.ndarray],  # each [H, W] metres, 0 = none
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All views of one frame as one cloud, in the cameras' order (see `lift_view`)."""
-    clouds = [lift_view(images[name], depths[name], camera) for name, camera in cameras.items()]
+    """All source views of one frame as one cloud, in the cameras' order (see `lift_view`)."""
+    clouds = [
+        lift_view(views.image(name, frame), depths[name], views.camera(name, frame))
+        for name in views.cameras
+    ]
     return np.concatenate([xyz for xyz, _ in clouds]), np.concatenate([rgb for _, rgb in clouds])
+
+
+def lidar_depths(views: Views, frame: int) -> dict[str, np.ndarray]:
+    """(H, W) depth of every source view of a frame, completed from the LiDAR methods may use."""
+    points = views.lidar(frame).xyz
+    return {name: complete_depth(points, views.camera(name, frame)) for name in views.cameras}

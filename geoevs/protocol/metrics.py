@@ -46,7 +46,7 @@ class MaskedMean(ABC):
         return mean
 
 
-class PixelError(MaskedMean):
+class MaskedPixelMean(MaskedMean):
     """Mean over valid pixels of an error of each pixel alone; subclasses say which."""
 
     def update(
@@ -65,7 +65,7 @@ class PixelError(MaskedMean):
         """(N, C) differences to (N,) errors."""
 
 
-class MAE(PixelError):
+class MAE(MaskedPixelMean):
     """Mean absolute error per channel."""
 
     higher_is_better = False
@@ -75,7 +75,7 @@ class MAE(PixelError):
         return np.abs(difference).mean(axis=1)
 
 
-class RMSE(PixelError):
+class RMSE(MaskedPixelMean):
     """Root mean squared error per channel."""
 
     higher_is_better = False
@@ -89,7 +89,7 @@ class RMSE(PixelError):
         return math.sqrt(mean)
 
 
-class PSNR(PixelError):
+class PSNR(MaskedPixelMean):
     """Peak signal-to-noise ratio in dB, squared error averaged over channels; exact = infinity.
 
     >>> metric = PSNR()

@@ -9,8 +9,7 @@ import numpy as np
 
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError
-from geoevs.geometry.lidar import complete_depth
-from geoevs.geometry.lift import lift_frame
+from geoevs.geometry.lift import lidar_depths, lift_frame
 from geoevs.io import write_bytes
 from geoevs.projection import zbuffer
 from geoevs.protocol.targets import ALL_CAMERAS, Target
@@ -95,22 +94,13 @@ def make_references(
             continue
         points = scene.points(frame)
         scoring = points.select(scene.info.rig.scores(points))
-        cloud = raw_cloud(views, frame)
+        cloud, _ = lift_frame(views, frame, lidar_depths(views, frame))
         for target in virtual:
             if target.sources != ALL_CAMERAS:
                 raise ValueError(f"no sparse reference is defined for sources {target.sources}")
             reprojected = zbuffer(cloud, target.camera).index >= 0
             references[target.key] = sparse_reference(scoring, target, reprojected, rng)
     return references
-
-
-def raw_cloud(views: Views, frame: int) -> np.ndarray:
-    """(N, 3) float32 points of raw reprojection: all sources lifted with completed LiDAR depth."""
-    cameras = {name: views.camera(name, frame) for name in views.cameras}
-    images = {name: views.image(name, frame) for name in views.cameras}
-    points = views.lidar(frame).xyz
-    depths = {name: complete_depth(points, camera) for name, camera in cameras.items()}
-    return lift_frame(cameras, images, depths)[0]
 
 
 def write_references(path: Path, references: dict[str, SparseReference]) -> None:
