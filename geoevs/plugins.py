@@ -5,7 +5,6 @@ import inspect
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from geoevs.errors import GeoEvsError, did_you_mean
 
@@ -36,15 +35,14 @@ def load_plugin(kind: str, name: str, plugins: dict[str, str]) -> ModuleType:
     return importlib.import_module(plugins[name])
 
 
-def make_with_options(who: str, factory: Callable, options: dict, *arguments: Any) -> Any:
-    """Call `factory(*arguments, **options)`, after checking the options' names.
+def check_options(who: str, factory: Callable, options: dict, positional: int = 0) -> None:
+    """Check that `factory` takes every option, besides its first `positional` arguments.
 
     Raises:
-        GeoEvsError: an option that `factory` does not take; the sentence names the nearest one.
+        GeoEvsError: an option that it does not take; the sentence names the nearest one.
     """
-    allowed = list(inspect.signature(factory).parameters)[len(arguments) :]
+    allowed = list(inspect.signature(factory).parameters)[positional:]
     for option in options:
         if option not in allowed:
             hint = did_you_mean(option, allowed) if allowed else "it has none"
             raise GeoEvsError(f"{who} has no option '{option}'; {hint}")
-    return factory(*arguments, **options)

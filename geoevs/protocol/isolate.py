@@ -1,7 +1,7 @@
 """Running one step of a method in a process of its own, so that nothing it does ends the run.
 
-The child's output goes to a log. A crash, even of the interpreter, becomes a `MethodFailedError` with its
-reason; the peak memory it reports is the method's own.
+The child's output goes to a log. A crash, even of the interpreter, becomes a `MethodFailedError`
+with its reason; the peak memory it reports is the method's own.
 """
 
 import importlib
@@ -37,7 +37,7 @@ def run_isolated(function: str, arguments: dict[str, Any], log: Path) -> tuple[A
     """Call `module:function` with JSON-able keyword arguments in a fresh Python process.
 
     Args:
-        function: where it is, such as `geoevs.protocol.steps:fit_step`.
+        function: where it is, such as `geoevs.protocol.fit_step:fit_step`.
         arguments: its keyword arguments.
         log: where the child's output and traceback are appended.
 

@@ -1,5 +1,6 @@
 """The tidy rows from which every table, CSV and chart derives, and their checks."""
 
+import dataclasses
 import hashlib
 import json
 from typing import Any
@@ -9,6 +10,7 @@ import pandas as pd
 from geoevs.errors import GeoEvsError
 from geoevs.projection import FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE
 from geoevs.protocol.metrics import METRICS, SSIM_MIN_EFFECTIVE_PIXELS, SSIM_RADIUS, SSIM_SIGMA
+from geoevs.scenes.store import Scene
 
 SCORE_TYPES = {
     "dataset": "string",
@@ -55,7 +57,6 @@ COST_TYPES = {
     "reason": "string",
     "log": "string",
 }
-OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
 
 def score_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
@@ -68,21 +69,20 @@ def cost_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COST_TYPES)).astype(COST_TYPES)
 
 
-def protocol_fingerprint(resolution: list[int], scene: dict[str, Any], protocol: dict) -> str:
-    """Hash of all that must agree before two numbers may be compared.
+def protocol_fingerprint(scene: Scene, protocol: dict[str, Any]) -> str:
+    """Hash of all that must agree before the scores of two scenes may be put together.
 
     Args:
-        resolution: (height, width) of targets.
-        scene: cameras, rig and partition that the dataset's scenes share.
+        scene: gives resolution, cameras and rig.
         protocol: the config's section of that name.
     """
+    first = scene.camera(scene.cameras[0], scene.frames[0])
     described = {
-        "resolution": resolution,
-        "scene": scene,
+        "resolution": [first.height, first.width],
+        "cameras": scene.cameras,
+        "rig": dataclasses.asdict(scene.info.rig),
         "protocol": protocol,
-        "metrics": {
-            name: [spec.kind.__name__, spec.region] for name, spec in sorted(METRICS.items())
-        },
+        "metrics": {name: [spec.kind.__name__, spec.region] for name, spec in METRICS.items()},
         "ssim": [SSIM_RADIUS, SSIM_SIGMA, SSIM_MIN_EFFECTIVE_PIXELS],
         "footprint": [FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE],
     }

@@ -5,36 +5,15 @@ A fit leaves `<folder>/<sources>/model/` and `<folder>/fit.json`; a render leave
 what it cost or at which stage and why it failed.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from geoevs.adapter import Budget
 from geoevs.io import new_folder, read_json, write_json
+from geoevs.protocol.entries import FAILED, OK, REFERENCE, MethodEntry
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
-from geoevs.protocol.rows import FAILED, OK
-from geoevs.protocol.steps import REFERENCE
 from geoevs.protocol.targets import read_targets
-
-
-@dataclass(frozen=True)
-class MethodEntry:
-    """One entrant of a run: a method, what it is called, its options and its seed."""
-
-    method: str
-    variant: str = "default"
-    options: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
-
-    @property
-    def label(self) -> str:
-        """Its name in paths and tables: the method, then what differs from the default."""
-        parts = [self.method]
-        if self.variant != "default":
-            parts.append(self.variant)
-        if self.seed != 0:
-            parts.append(f"seed{self.seed}")
-        return ".".join(parts)
 
 
 def fit_method(
@@ -59,7 +38,7 @@ def fit_method(
                 "budget": asdict(budget),
                 "folder": str(model),
             }
-            outcomes[sources] = _attempt("fit", "fit_step", arguments, log)
+            outcomes[sources] = _attempt("fit", arguments, log)
         write_json(partial / "fit.json", outcomes)
 
 
@@ -88,15 +67,16 @@ def render_method(
                 "evidence": evidence,
                 "folder": str(partial),
             }
-            rendered = _attempt("render", "render_step", arguments, log)
+            rendered = _attempt("render", arguments, log)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
         write_json(partial / "render.json", outcomes)
 
 
-def _attempt(stage: str, step: str, arguments: dict[str, Any], log: Path) -> dict[str, Any]:
+def _attempt(stage: str, arguments: dict[str, Any], log: Path) -> dict[str, Any]:
     try:
-        result, usage = run_isolated(f"geoevs.protocol.steps:{step}", arguments, log)
+        step = f"geoevs.protocol.{stage}_step:{stage}_step"
+        result, usage = run_isolated(step, arguments, log)
     except MethodFailedError as failure:
         blank = {"peak_memory": 0, "gpu_memory": 0}
         return {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log), **blank}

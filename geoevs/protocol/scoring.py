@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from geoevs.io import read_image, read_json, to_float
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
-from geoevs.protocol.rows import COST_TYPES, EMPTY_MASK, FAILED, OK
-from geoevs.protocol.runs import MethodEntry
+from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.scenes.store import Scene
