@@ -1,4 +1,4 @@
-"""Where everything of a run lies under `results/<run>/`; the workflow's rules use these patterns."""
+"""Where everything lies under `results/<run>/`; the workflow's rules use these patterns."""
 
 SCENE = "scenes/{dataset}/{scene}"
 TARGETS = "targets/{dataset}/{scene}.json"
