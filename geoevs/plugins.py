@@ -40,11 +40,16 @@ def make_with_options(who: str, factory: Callable, options: dict, *arguments: An
     """Call `factory(*arguments, **options)`, after checking the options' names.
 
     Raises:
-        GeoEvsError: an option that `factory` does not take; the sentence names the nearest one.
+        GeoEvsError: an option that `factory` does not take (the sentence names the nearest one),
+            or one that it needs is missing.
     """
-    allowed = list(inspect.signature(factory).parameters)[len(arguments) :]
+    allowed = list(inspect.signature(factory).parameters.values())[len(arguments) :]
+    names = [parameter.name for parameter in allowed]
     for option in options:
-        if option not in allowed:
-            hint = did_you_mean(option, allowed) if allowed else "it has none"
+        if option not in names:
+            hint = did_you_mean(option, names) if names else "it has none"
             raise GeoEvsError(f"{who} has no option '{option}'; {hint}")
+    for parameter in allowed:
+        if parameter.default is parameter.empty and parameter.name not in options:
+            raise GeoEvsError(f"{who} needs the option '{parameter.name}'; set it in its options")
     return factory(*arguments, **options)
