@@ -102,6 +102,7 @@ class Views:
     def __init__(self, scene: Scene, cameras: Sequence[str], needs: Sequence[str]) -> None:
         self._scene = scene
         self._needs = tuple(needs)
+        self.scene_name: str = scene.info.name
         self.cameras: tuple[str, ...] = tuple(cameras)
         self.frames: tuple[int, ...] = scene.frames
         self.rig: Rig = scene.info.rig

@@ -36,13 +36,18 @@ def load_plugin(kind: str, name: str, plugins: dict[str, str]) -> ModuleType:
 
 
 def check_options(who: str, factory: Callable, options: dict, positional: int = 0) -> None:
-    """Check that `factory` takes every option, besides its first `positional` arguments.
+    """Check that `options` are what `factory` takes, besides its first `positional` arguments.
 
     Raises:
-        GeoEvsError: an option that it does not take; the sentence names the nearest one.
+        GeoEvsError: an option that it does not take (the sentence names the nearest one), or one
+            that it needs is missing.
     """
-    allowed = list(inspect.signature(factory).parameters)[positional:]
+    allowed = list(inspect.signature(factory).parameters.values())[positional:]
+    names = [parameter.name for parameter in allowed]
     for option in options:
-        if option not in allowed:
-            hint = did_you_mean(option, allowed) if allowed else "it has none"
+        if option not in names:
+            hint = did_you_mean(option, names) if names else "it has none"
             raise GeoEvsError(f"{who} has no option '{option}'; {hint}")
+    for parameter in allowed:
+        if parameter.default is parameter.empty and parameter.name not in options:
+            raise GeoEvsError(f"{who} needs the option '{parameter.name}'; set it in its options")

@@ -1,0 +1,1 @@
+"""Scores a folder of images that somebody else rendered."""

@@ -1,0 +1,66 @@
+"""Somebody else's images: scores a folder of PNGs, whatever made them."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Self
+
+from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_image, read_json, write_json
+from geoevs.scenes.camera import Camera
+
+
+@dataclass
+class Method:
+    """Reads `<folder>/<scene>/<camera>/<frame>.png`, such as `mine/101/front/000003.png`.
+
+    Args:
+        folder: the images; `camera` is the target's name, the frame has six digits.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo("External images", paradigm="external")
+    folder: str
+    scene: str = field(init=False)
+
+    def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
+        """Learn the scene's name, which is its folder's.
+
+        Raises:
+            GeoEvsError: there is no such folder.
+        """
+        images = Path(self.folder) / views.scene_name
+        if not images.is_dir():
+            raise GeoEvsError(
+                f"{images} is missing; put the images of scene '{views.scene_name}' there as "
+                "<camera>/<frame>.png"
+            )
+        self.scene = views.scene_name
+        return FitReport(note=f"images from {self.folder}")
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Read the image of that target.
+
+        Raises:
+            GeoEvsError: it is missing, no image, or of another size.
+        """
+        path = Path(self.folder) / self.scene / camera.name / f"{frame:06d}.png"
+        image = read_image(path)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise GeoEvsError(
+                f"{path} is {image.shape[0]} x {image.shape[1]} but its target is "
+                f"{camera.height} x {camera.width}; render it at that size"
+            )
+        return Rendering(image)
+
+    def save(self, folder: Path) -> None:
+        """Write where the images lie; they are not copied."""
+        place = {"folder": str(Path(self.folder).resolve()), "scene": self.scene}
+        write_json(folder / "external.json", place)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Find the images again."""
+        place = read_json(folder / "external.json")
+        method = cls(place["folder"])
+        method.scene = place["scene"]
+        return method

@@ -1,0 +1,1 @@
+"""Control, the floor: one colour for every pixel."""

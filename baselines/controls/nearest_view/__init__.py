@@ -1,0 +1,1 @@
+"""Control: the nearest source image, turned to the target's direction."""

@@ -1,0 +1,1 @@
+"""Control: the source views, lifted by LiDAR and projected into the target."""

@@ -1,0 +1,70 @@
+"""The source views of the frame, lifted by LiDAR and projected into the target; holes are black."""
+
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.geometry.lift import lidar_depths, lift_frame
+from geoevs.io import write_bytes
+from geoevs.projection import rasterize
+from geoevs.scenes.camera import Camera
+
+
+@dataclass
+class Method:
+    """What geometry alone explains: the coloured cloud that conditions Geo-EVS, rasterised."""
+
+    info: ClassVar[MethodInfo] = MethodInfo("Reprojection", paradigm="control", needs=("lidar",))
+    views: Views = field(init=False)
+    # By camera and frame. float32, not float16: its 6 cm steps at 100 m would be our own error,
+    # and a reloaded method must place every point in the same pixel.
+    depths: dict[int, dict[str, np.ndarray]] = field(init=False)  # each [H, W] float32 metres
+    _lifted: tuple[int, np.ndarray, np.ndarray] | None = field(init=False, default=None)
+
+    def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
+        """Complete the depth of every source view."""
+        self.views = views
+        self.depths = {frame: lidar_depths(views, frame) for frame in views.frames}
+        maps = [depth for depths in self.depths.values() for depth in depths.values()]
+        pixels = sum(int(np.count_nonzero(depth)) for depth in maps)
+        return FitReport(primitives=pixels, note="primitives are source pixels with depth")
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Project the frame's cloud; `support` is where a point landed."""
+        xyz, rgb = self._cloud(frame)
+        image, mask, depth = rasterize(xyz, rgb, camera)
+        return Rendering(image, depth, mask)
+
+    def save(self, folder: Path) -> None:
+        """Write the source views as a scene store, and their depths."""
+        self.views.save(folder / "views")
+        arrays = {
+            f"{frame}/{name}": depth
+            for frame, depths in self.depths.items()
+            for name, depth in depths.items()
+        }
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays)
+        write_bytes(folder / "depths.npz", buffer.getvalue())
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Open the scene store and read the depths."""
+        method = cls()
+        method.views = views = Views.load(folder / "views")
+        with np.load(folder / "depths.npz") as file:
+            method.depths = {
+                frame: {name: file[f"{frame}/{name}"] for name in views.cameras}
+                for frame in views.frames
+            }
+        return method
+
+    def _cloud(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """The frame's (N, 3) points and colours; targets come frame by frame, so one is kept."""
+        if self._lifted is None or self._lifted[0] != frame:
+            self._lifted = frame, *lift_frame(self.views, frame, self.depths[frame])
+        return self._lifted[1:]

@@ -1,0 +1,1 @@
+"""Control: reprojection whose holes classical inpainting fills."""

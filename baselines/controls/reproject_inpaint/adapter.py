@@ -1,0 +1,86 @@
+"""Reprojection whose holes are filled by classical inpainting."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar, Self
+
+import cv2
+import numpy as np
+
+from baselines.controls.reproject.adapter import Method as Reprojection
+from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.io import read_json, to_uint8, write_json
+from geoevs.scenes.camera import Camera
+
+# Pixels; OpenCV's own examples use 3 to 5.
+RADIUS = 3
+
+CLASSICAL = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
+FREQUENCY_SELECTIVE = {
+    "fsr-fast": cv2.xphoto.INPAINT_FSR_FAST,
+    "fsr-best": cv2.xphoto.INPAINT_FSR_BEST,
+}
+
+
+@dataclass
+class Method:
+    """What geometry explains, and OpenCV's guess elsewhere.
+
+    Args:
+        inpaint: `telea`, `navier-stokes`, `fsr-fast` or `fsr-best`.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "Reprojection + inpainting", paradigm="control", needs=("lidar",)
+    )
+    inpaint: str = "telea"
+    _reprojection: Reprojection = field(init=False, default_factory=Reprojection)
+
+    def __post_init__(self) -> None:
+        choices = (*CLASSICAL, *FREQUENCY_SELECTIVE)
+        if self.inpaint not in choices:
+            raise GeoEvsError(
+                f"there is no inpainting '{self.inpaint}'; {did_you_mean(self.inpaint, choices)}"
+            )
+
+    def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
+        """Complete the depth of every source view."""
+        return self._reprojection.fit(views, budget, rng)
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Reproject and fill; depth and support stay those of the reprojection."""
+        seen = self._reprojection.render(camera, frame)
+        return replace(seen, rgb=fill_holes(seen.rgb, seen.support, self.inpaint))
+
+    def save(self, folder: Path) -> None:
+        """Write the reprojection and the option."""
+        self._reprojection.save(folder)
+        write_json(folder / "options.json", {"inpaint": self.inpaint})
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Restore the reprojection and the option."""
+        method = cls(**read_json(folder / "options.json"))
+        method._reprojection = Reprojection.load(folder)
+        return method
+
+
+def fill_holes(
+    rgb: np.ndarray,  # [H, W, 3] float in [0, 1]
+    support: np.ndarray,  # [H, W] bool
+    inpaint: str,
+) -> np.ndarray:
+    """Fill the pixels without support; the others keep their value.
+
+    Returns:
+        (H, W, 3) uint8; all black where nothing is supported.
+    """
+    image = to_uint8(rgb)
+    if support.all() or not support.any():
+        return image
+    if inpaint in CLASSICAL:
+        return cv2.inpaint(image, (~support).astype(np.uint8), RADIUS, CLASSICAL[inpaint])
+    filled = np.empty_like(image)
+    cv2.xphoto.inpaint(image, support.astype(np.uint8), filled, FREQUENCY_SELECTIVE[inpaint])
+    return np.where(support[..., None], image, filled)  # it goes through YCbCr and back
