@@ -95,6 +95,15 @@ def zbuffer_numba(points, lens):
     return index[:pixels].reshape(shape), nearest[:pixels].reshape(shape)
 
 
+def project_torch(points, lens):
+    """`project_numba` in torch ops, on the points' device."""
+    import torch
+
+    u, v, depth = project_columns(*points.double().unbind(1), lens)
+    ahead = (depth > 0) & (depth < torch.inf)
+    return torch.stack([u, v], 1).masked_fill(~ahead[:, None], torch.nan), depth
+
+
 def zbuffer_torch(points, lens):
     """`zbuffer_numba` in torch ops, on the points' device; a minimum has no order to depend on."""
     import torch
