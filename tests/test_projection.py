@@ -341,6 +341,11 @@ class TestRasterize:
         np.testing.assert_array_equal(mask, expected.any(-1), strict=True)
         np.testing.assert_array_equal(depth > 0, mask)
 
+    def test_no_points_give_a_black_image(self) -> None:
+        image, mask, _ = rasterize(np.zeros((0, 3)), np.zeros((0, 2), np.uint8), simple_camera())
+        np.testing.assert_array_equal(image, np.zeros((4, 6, 2), np.uint8), strict=True)
+        assert not mask.any()
+
     def test_tensors(self) -> None:
         rng = np.random.default_rng(0)
         points, values = rng.uniform(-3, 3, (99, 3)), rng.random((99, 3), np.float32)
