@@ -23,7 +23,7 @@ from geoevs.projection import (
     visible,
     zbuffer,
 )
-from geoevs.projection_kernels import BLOCK, lens_of, project_torch, zbuffer_torch
+from geoevs.projection_kernels import BLOCK, lens_of, project_torch, zbuffer_numba, zbuffer_torch
 from geoevs.projection_reference import zbuffer_reference
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import PointCloud
@@ -100,9 +100,20 @@ class TestProjectPoints:
 
     @pytest.mark.parametrize("z", [-1.0, 0.0, -0.0, np.inf, np.nan])
     def test_no_pixel_without_a_positive_finite_depth(self, z: float) -> None:
-        uv, depth = project_points(np.array([[0.0, 0.0, z]]), simple_camera())
+        for x in (0.0, 1.0):
+            uv, depth = project_points(np.array([[x, x, z]]), simple_camera())
+            assert np.isnan(uv).all()
+            np.testing.assert_array_equal(depth, [z])
+
+    def test_no_pixel_where_the_depth_overflows(self) -> None:
+        pose, half = np.eye(4), np.sqrt(0.5)
+        pose[:3, :3] = [[half, 0, half], [0, 1, 0], [-half, 0, half]]
+        camera = Camera(simple_camera().K, pose, 4, 6)
+        points = np.array([[1.5e308, 0, 1.5e308]])  # on the axis, 2.1e308 m away
+        uv, depth = project_points(points, camera)
+        assert depth == np.inf
         assert np.isnan(uv).all()
-        np.testing.assert_array_equal(depth, [z])
+        assert not zbuffer(points, camera).mask.any()
 
     @UNTIMED
     @given(CLOUDS, st.integers(0, 2**32))
@@ -189,9 +200,12 @@ class TestZBuffer:
         ],
     )
     def test_border_of_the_frame(self, x: float, y: float, pixel: tuple | None) -> None:
-        index, _ = zbuffer(np.array([[x, y, 2.0]]), simple_camera())
+        points, camera = np.array([[x, y, 2.0]]), simple_camera()
+        index, _ = found = zbuffer(points, camera)
         filled = [tuple(map(int, place)) for place in np.argwhere(index >= 0)]
         assert filled == ([] if pixel is None else [pixel])
+        # As plain Python the same lines check their indices: nothing is written out of bounds.
+        assert same_bits(zbuffer_numba.py_func(points, lens_of(camera)), found)
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
     @pytest.mark.parametrize("axis", [0, 1, 2])
