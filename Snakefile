@@ -7,6 +7,10 @@ min_version("9.27")
 configfile: "config.yaml"
 
 
+# The base of `snakemake --sdm apptainer`; constraints.txt pins what is installed on it.
+container: "docker://python:3.11"
+
+
 include: "workflow/rules/common.smk"
 include: "workflow/rules/scenes.smk"
 include: "workflow/rules/targets.smk"
@@ -15,11 +19,16 @@ include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
 
 
-container: None
-
-
 rule all:
+    default_target: True
     input:
         rules.tables.input,
         rules.breakdowns.input,
-    default_target: True
+
+
+onsuccess:
+    shell(f"geoevs failures {RUN}/{layout.COSTS}")
+
+
+onerror:
+    shell(f"geoevs failures {RUN}/{layout.COSTS}")

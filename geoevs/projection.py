@@ -128,11 +128,11 @@ def unproject_depth(
     usable = (flat > 0) & (flat < np.inf)
     pixels = usable.nonzero()[:, 0] if tensor else np.flatnonzero(usable)
     z = flat[pixels]
-    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     row = (pixels // camera.width).double() if tensor else pixels // camera.width
     column = (pixels % camera.width).double() if tensor else pixels % camera.width
     y = (row + 0.5 - cy) / fy
-    x = (column + 0.5 - cx - skew * y) / fx
+    x = (column + 0.5 - cx) / fx
     columns = [
         axis[0] * (x * z) + axis[1] * (y * z) + axis[2] * z + axis[3]
         for axis in camera.world_from_camera[:3].tolist()

@@ -85,6 +85,8 @@ def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet
 
     from geoevs.protocol.entries import FAILED
 
+    if not costs.exists():  # the run has not come that far
+        return
     rows = pd.read_parquet(costs)
     for row in rows[rows["status"] == FAILED].itertuples():
         print(

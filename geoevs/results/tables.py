@@ -200,7 +200,7 @@ def _table_row(
     row["n"] = int(first["n"].fillna(0).iloc[0])
     row["failed"] = int(first["failed"].fillna(0).iloc[0])
     row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
-    row["note"] = _note(mine, row)
+    row["note"] = _note(method in set(summary["method"]), row)
     return row
 
 
@@ -218,9 +218,9 @@ def _worse(means: pd.Series, floor: pd.Series) -> list[str]:
     ]
 
 
-def _note(mine: pd.DataFrame, row: dict[str, Any]) -> str:
-    if mine.empty:
+def _note(ran: bool, row: dict[str, Any]) -> str:
+    if not ran:
         return "not run"
     if row["failed"]:
         return f"failed on {row['failed']} of {row['failed'] + row['n']} views"
-    return ""
+    return "" if row["n"] else "no view here"

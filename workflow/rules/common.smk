@@ -46,7 +46,10 @@ def in_run(pattern):
 
 def every_scene(pattern):
     """The pattern's paths for all test scenes."""
-    return [in_run(pattern).format(dataset=dataset, scene=scene) for dataset, scene in TEST_SCENES]
+    return [
+        in_run(pattern).format(dataset=dataset, scene=scene)
+        for dataset, scene in TEST_SCENES
+    ]
 
 
 def every_result(pattern):
@@ -79,7 +82,9 @@ def method_code(step):
     def of(wildcards):
         method = ENTRIES[wildcards.label].method
         modules = [] if method == REFERENCE else [find_methods()[method]]
-        return code_hash(f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules)
+        return code_hash(
+            f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules
+        )
 
     return of
 

@@ -9,13 +9,13 @@ rule table:
         scores=in_run(layout.SCORES),
     output:
         TABLE_FILES,
+    log:
+        in_run("logs/table/{table}.log"),
     params:
         protocol=PROTOCOL,
         settings=json.dumps(config["tables"]),
         stem=in_run(layout.TABLE),
         code=code_hash("geoevs.results.tables", "geoevs.results.formats"),
-    log:
-        in_run("logs/table/{table}.log"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
         " --protocol {params.protocol:q} --settings {params.settings:q} --out {params.stem:q}"
@@ -28,14 +28,16 @@ rule figure:
         every_scene(layout.TRUTH),
     output:
         in_run(layout.FIGURE),
+    log:
+        in_run("logs/figure/{table}.log"),
     params:
-        run=RUN,
-        scenes=" ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES),
+        run=lambda wildcards, output: Path(output[0]).parents[1],
+        scenes=" ".join(
+            f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES
+        ),
         labels=" ".join(f"--labels {label}" for label in ENTRIES),
         keeps=json.dumps(config["protocol"]["reference_keep"]),
         code=code_hash("geoevs.results.figures"),
-    log:
-        in_run("logs/figure/{table}.log"),
     shell:
         "geoevs --log {log:q} grid {wildcards.table} --run {params.run:q} {params.scenes}"
         " {params.labels} --keeps {params.keeps:q} --out {output:q}"
