@@ -1,29 +1,6 @@
 # Fits and renders of every entrant. Both are timed, so each takes all cores and runs alone.
 
 
-def budget_arguments(wildcards):
-    """The budget of a fit, and the options it is made with."""
-    seconds = config["budget"]["fit_seconds"]
-    limit = "" if seconds is None else f"--fit-seconds {seconds}"
-    return f"--options '{json.dumps(ENTRIES[wildcards.label].options)}' {limit}"
-
-
-def evidence(wildcards):
-    """What the reference control, and it alone, may look at."""
-    if ENTRIES[wildcards.label].method != REFERENCE:
-        return {}
-    return {
-        "scene": in_run(layout.SCENE),
-        "references": in_run(layout.REFERENCES),
-        "truth": in_run(layout.TRUTH),
-    }
-
-
-def evidence_arguments(wildcards, input):
-    """The same as arguments."""
-    return " ".join(f"--{name} '{input[name]}'" for name in evidence(wildcards))
-
-
 rule fit:
     input:
         scene=in_run(layout.SCENE),

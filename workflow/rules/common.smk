@@ -93,3 +93,26 @@ def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
     return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+
+
+def budget_arguments(wildcards):
+    """The budget of a fit, and the options it is made with."""
+    seconds = config["budget"]["fit_seconds"]
+    limit = "" if seconds is None else f"--fit-seconds {seconds}"
+    return f"--options '{json.dumps(ENTRIES[wildcards.label].options)}' {limit}"
+
+
+def evidence(wildcards):
+    """What the reference control, and it alone, may look at."""
+    if ENTRIES[wildcards.label].method != REFERENCE:
+        return {}
+    return {
+        "scene": in_run(layout.SCENE),
+        "references": in_run(layout.REFERENCES),
+        "truth": in_run(layout.TRUTH),
+    }
+
+
+def evidence_arguments(wildcards, input):
+    """The same as arguments."""
+    return " ".join(f"--{name} '{input[name]}'" for name in evidence(wildcards))
