@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.plugins import find_plugins, load_plugin, make_with_options
+from geoevs.plugins import check_options, find_plugins, load_plugin
 from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, PointCloud, Rig
@@ -216,4 +216,6 @@ def make_method(name: str, options: dict) -> Adapter:
     Raises:
         GeoEvsError: no such method, or an option that it does not have.
     """
-    return make_with_options(f"method '{name}'", method_class(name), options)
+    method = method_class(name)
+    check_options(f"method '{name}'", method, options)
+    return method(**options)

@@ -5,7 +5,6 @@ import inspect
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from geoevs.errors import GeoEvsError, did_you_mean
 
@@ -36,14 +35,14 @@ def load_plugin(kind: str, name: str, plugins: dict[str, str]) -> ModuleType:
     return importlib.import_module(plugins[name])
 
 
-def make_with_options(who: str, factory: Callable, options: dict, *arguments: Any) -> Any:
-    """Call `factory(*arguments, **options)`, after checking the options' names.
+def check_options(who: str, factory: Callable, options: dict, positional: int = 0) -> None:
+    """Check that `options` are what `factory` takes, besides its first `positional` arguments.
 
     Raises:
-        GeoEvsError: an option that `factory` does not take (the sentence names the nearest one),
-            or one that it needs is missing.
+        GeoEvsError: an option that it does not take (the sentence names the nearest one), or one
+            that it needs is missing.
     """
-    allowed = list(inspect.signature(factory).parameters.values())[len(arguments) :]
+    allowed = list(inspect.signature(factory).parameters.values())[positional:]
     names = [parameter.name for parameter in allowed]
     for option in options:
         if option not in names:
@@ -52,4 +51,3 @@ def make_with_options(who: str, factory: Callable, options: dict, *arguments: An
     for parameter in allowed:
         if parameter.default is parameter.empty and parameter.name not in options:
             raise GeoEvsError(f"{who} needs the option '{parameter.name}'; set it in its options")
-    return factory(*arguments, **options)

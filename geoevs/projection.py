@@ -18,8 +18,8 @@ import numpy as np
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.projection_kernels import (
     lens_of,
-    project_columns,
     project_numba,
+    project_torch,
     zbuffer_numba,
     zbuffer_torch,
 )
@@ -87,13 +87,9 @@ def project_points(
     lens = lens_of(camera)
     if not _is_tensor(points):
         return project_numba(_readable(points), lens)
-    torch = sys.modules["torch"]
-    if points.device.type == "cpu":
-        uv, depth = project_numba(_readable(points), lens)
-        return torch.from_numpy(uv), torch.from_numpy(depth)
-    u, v, depth = project_columns(*points.detach().double().unbind(1), lens)
-    ahead = (depth > 0) & (depth < torch.inf)
-    return torch.stack([u, v], 1).masked_fill(~ahead[:, None], torch.nan), depth
+    if points.device.type != "cpu":
+        return project_torch(points.detach(), lens)
+    return tuple(map(sys.modules["torch"].from_numpy, project_numba(_readable(points), lens)))
 
 
 def unproject_depth(
@@ -125,16 +121,18 @@ def unproject_depth(
             f"{camera.height} x {camera.width}; resize one to the other"
         )
     tensor = _is_tensor(depth)
-    flat = depth.detach().reshape(-1) if tensor else np.ravel(depth)
+    flat = depth.detach().double().reshape(-1) if tensor else np.ravel(depth).astype(np.float64)
     usable = (flat > 0) & (flat < np.inf)
     pixels = usable.nonzero()[:, 0] if tensor else np.flatnonzero(usable)
-    z = flat[pixels].double() if tensor else flat[pixels].astype(np.float64)
+    z = flat[pixels]
     (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
-    y = (pixels // camera.width + 0.5 - cy) / fy
-    x = (pixels % camera.width + 0.5 - cx - skew * y) / fx
+    row = (pixels // camera.width).double() if tensor else pixels // camera.width
+    column = (pixels % camera.width).double() if tensor else pixels % camera.width
+    y = (row + 0.5 - cy) / fy
+    x = (column + 0.5 - cx - skew * y) / fx
     columns = [
-        row[0] * (x * z) + row[1] * (y * z) + row[2] * z + row[3]
-        for row in camera.world_from_camera[:3].tolist()
+        axis[0] * (x * z) + axis[1] * (y * z) + axis[2] * z + axis[3]
+        for axis in camera.world_from_camera[:3].tolist()
     ]
     stack = sys.modules["torch"].stack if tensor else np.stack
     return stack(columns, 1), pixels
@@ -210,9 +208,15 @@ def rasterize(
         )
     index, depth = zbuffer(points, camera, visibility)
     mask = index >= 0
-    shape = (camera.height, camera.width, values.shape[1])
-    image = values.new_zeros(shape) if _is_tensor(values) else np.zeros(shape, values.dtype)
-    image[mask] = values[index[mask]]
+    shape = camera.height, camera.width, values.shape[1]
+    if _is_tensor(values):
+        image = values.new_zeros(shape)
+        image[mask] = values[index[mask]]
+    elif len(values):
+        image = values.take(index, axis=0, mode="wrap")  # and clear: faster than masked writing
+        image[~mask] = 0
+    else:
+        image = np.zeros(shape, values.dtype)
     return Raster(image, mask, depth)
 
 

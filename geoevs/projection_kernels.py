@@ -9,8 +9,8 @@ import numpy as np
 
 from geoevs.scenes.camera import Camera
 
-# One block of points, pixels and depths (28 kB with float32 points) stays in the L1 cache
-# between the loop that projects it and the loop that scatters it.
+# Points are projected a block at a time, so that coordinates, pixels and depths (36 kB) stay in
+# the L1 cache between the loops below, and each loop is simple enough to become SIMD code.
 BLOCK = 1024
 
 
@@ -49,26 +49,59 @@ def project_numba(points, lens):
     return uv, depth
 
 
+@numba.njit(error_model="numpy")
+def _split_columns(points, xs, ys, zs):
+    """[n, 3] to three columns: apart from the arithmetic, which then runs on whole vectors."""
+    for i in range(len(points)):
+        xs[i] = points[i, 0]
+        ys[i] = points[i, 1]
+        zs[i] = points[i, 2]
+
+
+@numba.njit(error_model="numpy")
+def _find_pixels(xs, ys, zs, lens, pixel, depth):
+    """The flat pixel and depth of each point; H * W and infinity for those outside the view."""
+    width, height = lens[17], lens[18]
+    for i in range(len(xs)):
+        u, v, z = _project(xs[i], ys[i], zs[i], lens)
+        inside = (z > 0.0) & (z < np.inf) & (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
+        # Still a float until it is known to be small: 1e300 does not fit an integer.
+        place = np.floor(v) * width + np.floor(u) if inside else width * height
+        pixel[i] = np.uint32(np.int32(place))  # through int32: all that AVX2 converts to
+        depth[i] = z if inside else np.inf
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def zbuffer_numba(points, lens):
-    """(index [H * W] or -1, depth [H * W] or 0) of the front-most points."""
-    width, height = lens[17], lens[18]
-    pixels = int(width) * int(height)
-    index = np.full(pixels, -1, np.int64)
-    depth = np.full(pixels, np.inf)
-    for i in range(len(points)):
-        px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        u, v, z = _project(px, py, pz, lens)
-        # Compared as floats, before the cast: 1e300 does not fit an integer.
-        if 0.0 < z < np.inf and 0.0 <= u < width and 0.0 <= v < height:
-            pixel = int(v) * int(width) + int(u)
-            if z < depth[pixel]:  # strict: the lower index keeps a tie
-                depth[pixel] = z
-                index[pixel] = i
-    for pixel in range(pixels):
-        if index[pixel] < 0:
-            depth[pixel] = 0.0
-    return index.reshape(int(height), int(width)), depth.reshape(int(height), int(width))
+    """(index [H, W] or -1, depth [H, W] or 0) of the front-most points."""
+    shape = int(lens[18]), int(lens[17])
+    pixels = shape[0] * shape[1]
+    # The last entry stands for "outside": nothing is nearer than infinity, so it is never written.
+    index = np.full(pixels + 1, -1, np.int64)
+    nearest = np.full(pixels + 1, np.inf)
+    xs, ys, zs, depth = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    pixel = np.empty(BLOCK, np.uint32)  # unsigned: no test for indices that count from the end
+    for start in range(0, len(points), BLOCK):
+        block = points[start : start + BLOCK]
+        n = len(block)
+        _split_columns(block, xs, ys, zs)
+        _find_pixels(xs[:n], ys[:n], zs[:n], lens, pixel, depth)
+        for i in range(n):
+            if depth[i] < nearest[pixel[i]]:  # strict: the lower index keeps a tie
+                nearest[pixel[i]] = depth[i]
+                index[pixel[i]] = start + i
+    for i in range(pixels):
+        nearest[i] = 0.0 if index[i] < 0 else nearest[i]
+    return index[:pixels].reshape(shape), nearest[:pixels].reshape(shape)
+
+
+def project_torch(points, lens):
+    """`project_numba` in torch ops, on the points' device."""
+    import torch
+
+    u, v, depth = project_columns(*points.double().unbind(1), lens)
+    ahead = (depth > 0) & (depth < torch.inf)
+    return torch.stack([u, v], 1).masked_fill(~ahead[:, None], torch.nan), depth
 
 
 def zbuffer_torch(points, lens):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.errors import GeoEvsError
-from geoevs.plugins import find_plugins, load_plugin, make_with_options
+from geoevs.plugins import check_options, find_plugins, load_plugin
 from geoevs.scenes.camera import Camera
 
 TRACK_COLUMNS = (
@@ -188,11 +188,21 @@ def find_sources() -> dict[str, str]:
     return find_plugins("source", "geoevs.scenes.sources")
 
 
+def source_class(name: str) -> type[SceneSource]:
+    """The class of the data source called `name`.
+
+    Raises:
+        GeoEvsError: there is none; the sentence names the nearest one.
+    """
+    return load_plugin("data source", name, find_sources()).Source
+
+
 def load_source(name: str, height: int, width: int, options: dict) -> SceneSource:
     """Make the data source called `name` for one resolution.
 
     Raises:
         GeoEvsError: no such source, or an option that it does not have.
     """
-    module = load_plugin("data source", name, find_sources())
-    return make_with_options(f"data source '{name}'", module.Source, options, height, width)
+    source = source_class(name)
+    check_options(f"data source '{name}'", source, options, positional=2)
+    return source(height, width, **options)

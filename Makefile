@@ -1,0 +1,27 @@
+# `make reproduce` sets up and runs the default scale to all tables; `make test` checks everything.
+.PHONY: reproduce test setup clean
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+reproduce: $(READY)
+	PATH="$(CURDIR)/$(BIN):$$PATH" snakemake --cores all
+
+test: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/snakefmt --check Snakefile workflow
+	PATH="$(CURDIR)/$(BIN):$$PATH" snakemake --lint
+	PATH="$(CURDIR)/$(BIN):$$PATH" pytest
+
+setup: $(READY)
+
+# A new environment only where what it holds has changed.
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $(READY)
+
+clean:
+	rm -rf .venv

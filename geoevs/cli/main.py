@@ -1,0 +1,58 @@
+"""The `geoevs` command."""
+
+import importlib
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import write_text
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Geo-EVS: benchmark extrapolative view synthesis in driving scenes. The whole protocol is "
+    "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
+)
+_log: Path | None = None
+
+
+@app.callback()
+def options(
+    log: Annotated[
+        Path | None, typer.Option(help="Also write an error, with its traceback, here.")
+    ] = None,
+) -> None:
+    """Options that come before the command."""
+    global _log
+    _log = log
+    if log is not None:
+        write_text(log, "")
+
+
+def main() -> None:
+    """Run the command line: one sentence for a mistake, a traceback only in the log."""
+    for commands in ("stages", "outcomes", "adapters"):
+        importlib.import_module(f"geoevs.cli.{commands}").register(app)
+    try:
+        app()
+    except Exception as error:
+        if isinstance(error, GeoEvsError):
+            message = f"error: {error}"
+        else:
+            where = (
+                f"see {_log}" if _log else "repeat it as `geoevs --log FILE ...` for the traceback"
+            )
+            message = f"internal error: {type(error).__name__}: {error} ({where})"
+        if _log is not None:
+            write_text(_log, f"{message}\n\n{traceback.format_exc()}")
+        print(message, file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

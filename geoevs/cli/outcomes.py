@@ -1,0 +1,94 @@
+"""From score rows to what people read: tables, pictures, the manifest, the failures."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
+Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
+Config = Annotated[str, typer.Option(help="A section of the config, as JSON.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (collect, table, grid, manifest, failures):
+        app.command()(command)
+
+
+def collect(
+    parts: Annotated[list[Path], typer.Argument(help="Parquet files with the same columns.")],
+    out: Out,
+) -> None:
+    """Put the rows of many jobs into one Parquet file, in the order given."""
+    import pandas as pd
+
+    from geoevs.io import write_bytes
+
+    rows = pd.concat([pd.read_parquet(part) for part in parts], ignore_index=True)
+    write_bytes(out, rows.to_parquet(index=False))
+
+
+def table(
+    name: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    protocol: Config,
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+) -> None:
+    """Make one table as CSV, Markdown and LaTeX."""
+    import pandas as pd
+
+    from geoevs.io import write_text
+    from geoevs.results.formats import to_latex, to_markdown
+    from geoevs.results.tables import TABLES, make_table
+
+    made = make_table(name, pd.read_parquet(scores), json.loads(protocol), json.loads(settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), to_markdown(TABLES[name], made))
+    write_text(out.with_suffix(".tex"), to_latex(TABLES[name], made))
+
+
+def grid(
+    name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
+    run: Run,
+    scenes: Annotated[list[str], typer.Option(help="DATASET/SCENE; repeat for more rows.")],
+    labels: Annotated[list[str], typer.Option(help="An entrant's label; repeat for columns.")],
+    keeps: Annotated[str, typer.Option(help="protocol.reference_keep, as JSON.")],
+    out: Out,
+) -> None:
+    """Draw a table's grid: truth, reference, validity and every method side by side."""
+    from geoevs.io import write_bytes
+    from geoevs.results.figures import table_grid
+
+    pairs = [tuple(scene.split("/")) for scene in scenes]
+    write_bytes(out, table_grid(name, run, pairs, labels, json.loads(keeps)))
+
+
+def manifest(
+    inputs: Annotated[list[Path], typer.Argument(help="Scene stores and score files.")],
+    config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
+    out: Out,
+) -> None:
+    """Write down the commit, config, input hashes, versions, machine and seed of a run."""
+    from geoevs.io import write_json
+    from geoevs.results.manifest import make_manifest
+
+    write_json(out, make_manifest(json.loads(config), inputs))
+
+
+def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")]) -> None:
+    """Say in one line each which methods failed, why, and where their logs are."""
+    import pandas as pd
+
+    from geoevs.protocol.entries import FAILED
+
+    rows = pd.read_parquet(costs)
+    for row in rows[rows["status"] == FAILED].itertuples():
+        print(
+            f"FAILED: {row.method} ({row.variant}) could not {row.stage} {row.scene} from "
+            f"{row.sources}: {row.reason}; log: {row.log}",
+            file=sys.stderr,
+        )

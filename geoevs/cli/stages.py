@@ -1,0 +1,177 @@
+"""The stages of the protocol as commands; the workflow's rules call these."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from geoevs.cli.progress import counted, progress_bar
+
+Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
+Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
+SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
+TargetFile = Annotated[Path, typer.Option(help="The scene's target list.")]
+Size = Annotated[int, typer.Option(min=1, help="Pixels.")]
+Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (scene, targets, truth, references, fit, render, score):
+        app.command()(command)
+
+
+def scene(
+    source: Annotated[str, typer.Option(help="A data source: street, pandaset, ...")],
+    name: Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")],
+    height: Size,
+    width: Size,
+    out: Out,
+    options: Options = "{}",
+) -> None:
+    """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
+    from geoevs.projection import colour_points
+    from geoevs.scenes.scene import Frame, SceneRef, load_source
+    from geoevs.scenes.store import write_scene
+
+    def coloured(frame: Frame) -> Frame:
+        points = colour_points(frame.points, frame.cameras, frame.images)
+        return dataclasses.replace(frame, points=points)
+
+    record = load_source(source, height, width, _object(options)).open(SceneRef.parse(name))
+    with progress_bar(f"scene {name}", record.frame_count) as advance:
+        frames = (coloured(frame) for frame in counted(record.frames, advance))
+        write_scene(out, record.info, record.tracks, frames)
+
+
+def targets(
+    scene: SceneFolder,
+    protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
+    out: Out,
+) -> None:
+    """List the views to synthesise: observed, interpolation, extrapolation and pose sweep."""
+    from geoevs.protocol.targets import make_targets, write_targets
+    from geoevs.scenes.store import Scene
+
+    write_targets(out, make_targets(Scene(scene), _object(protocol)))
+
+
+def truth(
+    source: Annotated[str, typer.Option(help="The scene's data source.")],
+    name: Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")],
+    height: Size,
+    width: Size,
+    targets: TargetFile,
+    out: Out,
+    options: Options = "{}",
+) -> None:
+    """Render dense truth at virtual targets, for sources that can; no method may see it."""
+    from geoevs.protocol.targets import read_targets
+    from geoevs.protocol.truth import write_truth
+    from geoevs.scenes.scene import SceneRef, load_source
+
+    wanted = read_targets(targets)
+    virtual = sum(not target.recorded for target in wanted)
+    made = load_source(source, height, width, _object(options))
+    with progress_bar(f"truth {name}", virtual) as advance:
+        write_truth(out, made, SceneRef.parse(name), wanted, advance)
+
+
+def references(
+    scene: SceneFolder,
+    targets: TargetFile,
+    out: Out,
+    seed: Seed = 0,
+) -> None:
+    """Project the scoring LiDAR points into every virtual target (the LPSR reference)."""
+    from geoevs.adapter import Rng
+    from geoevs.protocol.reference import make_references, write_references
+    from geoevs.protocol.targets import read_targets
+    from geoevs.scenes.store import Scene
+
+    store = Scene(scene)
+    rng = Rng(seed, "references", store.info.name)
+    write_references(out, make_references(store, read_targets(targets), rng.numpy))
+
+
+def fit(
+    method: Annotated[str, typer.Option(help="The method's name.")],
+    scene: SceneFolder,
+    targets: TargetFile,
+    out: Out,
+    method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
+    variant: str = "default",
+    options: Options = "{}",
+    seed: Seed = 0,
+    threads: Annotated[int, typer.Option(min=1)] = 1,
+    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it may take.")] = None,
+) -> None:
+    """Fit a method to a scene; a failure is written down, not raised."""
+    from geoevs.adapter import Budget
+    from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.runs import fit_method
+
+    entry = MethodEntry(method, variant, _object(options), seed)
+    fit_method(entry, scene, targets, Budget(fit_seconds, threads), out, method_log)
+
+
+def render(
+    method: Annotated[str, typer.Option(help="The method's name.")],
+    model: Annotated[Path, typer.Option(help="What `geoevs fit` wrote.")],
+    targets: TargetFile,
+    out: Out,
+    method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
+    scene: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
+    references: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
+    truth: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
+) -> None:
+    """Render a scene's targets with a fitted method; a failure is written down, not raised."""
+    from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.runs import render_method
+
+    evidence = {"scene": scene, "references": references, "truth": truth}
+    render_method(MethodEntry(method), model, targets, evidence, out, method_log)
+
+
+def score(
+    method: Annotated[str, typer.Option(help="The method's name.")],
+    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
+    scene_name: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    scene: SceneFolder,
+    targets: TargetFile,
+    references: Annotated[Path, typer.Option(help="What `geoevs references` wrote.")],
+    truth: Annotated[Path, typer.Option(help="What `geoevs truth` wrote.")],
+    renders: Annotated[Path, typer.Option(help="What `geoevs render` wrote.")],
+    protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
+    out: Out,
+    costs: Annotated[Path, typer.Option(help="Where the cost rows go.")],
+    variant: str = "default",
+    seed: Seed = 0,
+    threads: Annotated[int, typer.Option(min=1, help="Threads that the method had.")] = 1,
+) -> None:
+    """Score a method's renders of a scene: one row a target and metric."""
+    from geoevs.io import write_bytes
+    from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
+    from geoevs.protocol.scoring import Evidence, cost_rows, score_method
+    from geoevs.scenes.store import Scene
+
+    settings = _object(protocol)
+    entry = MethodEntry(method, variant, {}, seed)
+    place = {"dataset": dataset, "scene": scene_name}
+    common = {**place, "fingerprint": protocol_fingerprint(Scene(scene), settings)}
+    evidence = Evidence(scene, targets, references, truth)
+    rows = score_method(entry, evidence, renders, settings["reference_keep"], common)
+    write_bytes(out, score_frame(rows).to_parquet(index=False))
+    write_bytes(
+        costs, cost_frame(cost_rows(entry, renders, threads, place)).to_parquet(index=False)
+    )
+
+
+def _object(text: str) -> dict[str, Any]:
+    value = json.loads(text)
+    if not isinstance(value, dict):
+        raise typer.BadParameter(f"{text} is not a JSON object such as '{{\"frames\": 8}}'")
+    return value

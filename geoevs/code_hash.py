@@ -1,0 +1,55 @@
+"""A content hash of modules and all they import, so that a rule reruns when its code changes."""
+
+import ast
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import geoevs
+
+ROOT = Path(geoevs.__file__).parents[1]
+PACKAGES = ("geoevs", "baselines")
+
+
+def code_hash(*modules: str) -> str:
+    """Hash the code of `modules` and of the project's modules that they import, however deep.
+
+    Comments and formatting do not count; modules found by name at run time (plugins) must be
+    named.
+    """
+    reached: set[str] = set()
+    waiting = list(modules)
+    while waiting:
+        module = waiting.pop()
+        if module not in reached:
+            reached.add(module)
+            waiting.extend(_imports(module))
+    digest = hashlib.sha256()
+    for module in sorted(reached):
+        digest.update(f"{module}\n{ast.dump(_tree(module))}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _path(module: str) -> Path | None:
+    base = ROOT / module.replace(".", "/")
+    for path in (base.with_suffix(".py"), base / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+@cache
+def _tree(module: str) -> ast.Module:
+    return ast.parse(_path(module).read_bytes())
+
+
+@cache
+def _imports(module: str) -> tuple[str, ...]:
+    names: set[str] = set()
+    for node in ast.walk(_tree(module)):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module)
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return tuple(name for name in names if name.split(".")[0] in PACKAGES and _path(name))

@@ -1,0 +1,149 @@
+"""Checking a run's config: one sentence per mistake, with the file, the line and the right word."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jsonschema import Draft202012Validator, ValidationError
+
+from geoevs.adapter import find_methods, method_class
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.plugins import check_options
+from geoevs.protocol.entries import REFERENCE, MethodEntry
+from geoevs.scenes.scene import SceneRef, source_class
+
+Key = tuple[str | int, ...]
+
+
+def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path]) -> None:
+    """Check a merged config.
+
+    Args:
+        config: what the run will use.
+        schema: the JSON schema of its keys.
+        files: the files it was merged from, later ones winning; mistakes are located in them.
+
+    Raises:
+        GeoEvsError: a key is unknown, missing or wrong; a data set, source, method or option does
+            not exist; two partitions share a frame.
+    """
+    validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text()))
+    mistakes = sorted(validator.iter_errors(config), key=lambda mistake: list(mistake.path))
+    if mistakes:
+        key, problem = _explain(mistakes[0])
+        raise GeoEvsError(f"{_locate(key, files)}: {problem}")
+    _check_datasets(config, files)
+    _check_methods(config, files)
+    for name in ("pose_bins", "support_bins"):
+        edges = config["protocol"][name]
+        if any(low >= high for low, high in itertools.pairwise(edges)):
+            raise GeoEvsError(f"{_locate(('protocol', name), files)}: edges must rise")
+
+
+def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
+    """The run's entrants, one for every method, variant and seed."""
+    return [
+        MethodEntry.parse(name, settings.get("options", {}), config["seed"] + seed)
+        for name, settings in config["methods"].items()
+        if settings is not None
+        for seed in settings.get("seeds", [0])
+    ]
+
+
+def _explain(mistake: ValidationError) -> tuple[Key, str]:
+    """The key at fault and a sentence on what is wrong with it."""
+    key: Key = tuple(mistake.absolute_path)
+    if mistake.validator == "additionalProperties":
+        allowed = mistake.schema.get("properties", {})
+        unknown = next(name for name in mistake.instance if name not in allowed)
+        return (*key, unknown), f"'{unknown}' is not a known key; {did_you_mean(unknown, allowed)}"
+    if mistake.validator == "required":
+        missing = next(name for name in mistake.validator_value if name not in mistake.instance)
+        return key, f"the key '{missing}' is missing under '{_dotted(key)}'; add it"
+    if mistake.validator == "pattern" and mistake.instance not in (None, *key[-1:]):
+        return key, f"'{mistake.instance}' is not an allowed name; use lower case and hyphens"
+    purpose = mistake.schema.get("description", "")
+    return key, f"'{_dotted(key)}' is wrong: {mistake.message}. {purpose}".rstrip()
+
+
+def _dotted(key: Key) -> str:
+    return ".".join(map(str, key)) or "the top level"
+
+
+def _locate(key: Key, files: Sequence[Path]) -> str:
+    """`FILE:LINE` of a key in the last file that sets it, else that file's name alone."""
+    for path in reversed(files):
+        node = yaml.compose(Path(path).read_text())
+        line = None
+        for part in key:
+            if isinstance(node, yaml.MappingNode):
+                pairs = {name.value: (name, value) for name, value in node.value}
+                if str(part) not in pairs:
+                    break
+                name, node = pairs[str(part)]
+                line = name.start_mark.line + 1
+            elif isinstance(node, yaml.SequenceNode) and part < len(node.value):
+                node = node.value[part]
+            else:
+                break
+        else:
+            if line is not None:
+                return f"{path}:{line}"
+    return str(files[0]) if files else "config"
+
+
+@contextmanager
+def _located(key: Key, files: Sequence[Path]) -> Iterator[None]:
+    """Put the place of `key` before the sentence of a mistake found in the block."""
+    try:
+        yield
+    except GeoEvsError as mistake:
+        raise GeoEvsError(f"{_locate(key, files)}: {mistake}") from mistake
+
+
+def _check_datasets(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    datasets = config["datasets"]
+    for name in config["evaluate"]:
+        if name not in datasets:
+            raise GeoEvsError(
+                f"{_locate(('evaluate',), files)}: there is no data set '{name}' under 'datasets'; "
+                f"{did_you_mean(name, datasets)}"
+            )
+    for name, dataset in datasets.items():
+        source = dataset["source"]
+        with _located(("datasets", name, "source"), files):
+            source_class(source)
+        with _located(("datasets", name, "options"), files):
+            check_options(f"data source '{source}'", source_class(source), dataset["options"], 2)
+        with _located(("datasets", name, "partitions"), files):
+            _check_partitions(name, dataset["partitions"])
+
+
+def _check_partitions(dataset: str, partitions: Mapping[str, list[str]]) -> None:
+    placed = [
+        (partition, text, SceneRef.parse(text))
+        for partition, texts in partitions.items()
+        for text in texts
+    ]
+    for (first, text, ref), (second, other_text, other) in itertools.combinations(placed, 2):
+        if ref.overlaps(other):
+            raise GeoEvsError(
+                f"data set '{dataset}' has scene '{text}' in partition '{first}' and "
+                f"'{other_text}' in '{second}'; a frame may serve one partition only, so remove one"
+            )
+
+
+def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    methods = [REFERENCE, *find_methods()]
+    for entry in method_entries(config):
+        name = entry.method if entry.variant == "default" else f"{entry.method}.{entry.variant}"
+        with _located(("methods", name), files):
+            if entry.method not in methods:
+                raise GeoEvsError(
+                    f"there is no method '{entry.method}'; {did_you_mean(entry.method, methods)}"
+                )
+            if entry.options:
+                check_options(f"method '{name}'", method_class(entry.method), entry.options)

@@ -1,0 +1,52 @@
+"""Fitting a method to a scene, as the isolated process runs it."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from geoevs.adapter import Budget, Rng, Views, make_method
+from geoevs.protocol.clock import synchronise
+from geoevs.protocol.targets import source_cameras
+from geoevs.scenes.store import Scene
+
+
+def fit_step(
+    scene: str,
+    method: str,
+    options: dict[str, Any],
+    seed: int,
+    sources: str,
+    budget: dict[str, Any],
+    folder: str,
+) -> dict[str, Any]:
+    """Fit a method to the views that a set of sources allows, and save it.
+
+    Args:
+        scene: the scene store.
+        method: its name.
+        options: its own.
+        seed: the run's seed for this entry.
+        sources: which cameras it may see (see `source_cameras`).
+        budget: fields of Budget.
+        folder: an empty folder for the saved method.
+
+    Returns:
+        Fit seconds, primitives, parameters, bytes on disk, and the method's note.
+    """
+    store = Scene(Path(scene))
+    adapter = make_method(method, options)
+    views = Views(store, source_cameras(store, sources), adapter.info.needs)
+    rng = Rng(seed, store.info.name, method, sources)
+    start = time.perf_counter()
+    report = adapter.fit(views, Budget(**budget), rng)
+    synchronise()
+    seconds = time.perf_counter() - start
+    adapter.save(Path(folder))
+    size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+    return {
+        "fit_seconds": seconds,
+        "primitives": report.primitives,
+        "parameters": report.parameters,
+        "bytes": size,
+        "note": report.note,
+    }

@@ -1,0 +1,108 @@
+"""Running one step of a method in a process of its own, so that nothing it does ends the run.
+
+The child's output goes to a log. A crash, even of the interpreter, becomes a `MethodFailedError`
+with its reason; the peak memory it reports is the method's own.
+"""
+
+import importlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import write_json
+
+
+class MethodFailedError(Exception):
+    """A method's step failed; its text is the reason in one line."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a child process used: peak resident and peak GPU memory in bytes."""
+
+    peak_memory: int
+    gpu_memory: int
+
+
+def run_isolated(function: str, arguments: dict[str, Any], log: Path) -> tuple[Any, Usage]:
+    """Call `module:function` with JSON-able keyword arguments in a fresh Python process.
+
+    Args:
+        function: where it is, such as `geoevs.protocol.fit_step:fit_step`.
+        arguments: its keyword arguments.
+        log: where the child's output and traceback are appended.
+
+    Returns:
+        The function's JSON-able result, and what the process used.
+
+    Raises:
+        MethodFailedError: the function raised, or the process died.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch, log.open("a") as output:
+        answer = Path(scratch) / "answer.json"
+        process = subprocess.run(
+            [sys.executable, "-m", "geoevs.protocol.isolate", function, answer],
+            input=json.dumps(arguments),
+            text=True,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+        if not answer.exists():
+            raise MethodFailedError(_death(process.returncode))
+        reply = json.loads(answer.read_text())
+    if "failure" in reply:
+        raise MethodFailedError(reply["failure"])
+    return reply["result"], Usage(reply["peak_memory"], reply["gpu_memory"])
+
+
+def _death(code: int) -> str:
+    if code >= 0:
+        return f"the process ended by itself with exit code {code}"
+    name = signal.Signals(-code).name
+    hint = ", perhaps for lack of memory" if -code == signal.SIGKILL else ""
+    return f"the process was killed by {name}{hint}"
+
+
+def _peak_gpu_memory() -> int:
+    torch = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_available():
+        return 0
+    return int(torch.cuda.max_memory_allocated())
+
+
+def _child(function: str, answer: str) -> None:
+    arguments = json.load(sys.stdin)
+    module, name = function.split(":")
+    try:
+        result = getattr(importlib.import_module(module), name)(**arguments)
+    except Exception as error:
+        traceback.print_exc()
+        kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
+        message = " ".join(str(error).split()) or "no message"
+        write_json(Path(answer), {"failure": kind + message})
+        return
+    reply = {
+        "result": result,
+        "peak_memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+        "gpu_memory": _peak_gpu_memory(),
+    }
+    write_json(Path(answer), reply)
+
+
+if __name__ == "__main__":
+    _child(*sys.argv[1:])
+    # A method's threads or atexit hooks must not change the outcome any more.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)

@@ -1,0 +1,65 @@
+"""Rendering a scene's targets with a fitted method, as the isolated process runs it."""
+
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geoevs.adapter import Rendering, method_class
+from geoevs.errors import GeoEvsError
+from geoevs.io import to_uint8, write_image
+from geoevs.protocol.clock import synchronise
+from geoevs.protocol.entries import REFERENCE
+from geoevs.protocol.oracle import ReferenceCopy
+from geoevs.protocol.targets import Target, read_targets
+
+
+def render_step(
+    method: str, targets: str, sources: str, model: str, evidence: dict[str, str], folder: str
+) -> dict[str, Any]:
+    """Render every target of a set of sources with a saved method.
+
+    Args:
+        method: its name.
+        targets: the scene's target list.
+        sources: the set of sources whose targets to render.
+        model: the saved method; unused by the reference control.
+        evidence: paths of the scene, references and truth; for the reference control alone.
+        folder: where `<target key>.png` go.
+
+    Returns:
+        The median seconds per view, after one render that warms up.
+    """
+    wanted = [target for target in read_targets(Path(targets)) if target.sources == sources]
+    render: Callable[[Target], Rendering]
+    if method == REFERENCE:
+        render = ReferenceCopy(**evidence).render
+    else:
+        adapter = method_class(method).load(Path(model))
+
+        def render(target: Target) -> Rendering:
+            return adapter.render(target.camera, target.frame)
+
+    render(wanted[0])
+    seconds = []
+    for target in wanted:
+        synchronise()
+        start = time.perf_counter()
+        rendering = render(target)
+        synchronise()
+        seconds.append(time.perf_counter() - start)
+        write_image(Path(folder) / f"{target.key}.png", _checked(rendering, target))
+    return {"render_seconds": statistics.median(seconds)}
+
+
+def _checked(rendering: Rendering, target: Target) -> np.ndarray:
+    rgb = np.asarray(rendering.rgb)
+    expected = (target.camera.height, target.camera.width, 3)
+    if rgb.shape != expected:
+        raise GeoEvsError(f"target {target.key} was rendered as {rgb.shape}, not {expected}")
+    if not np.isfinite(rgb).all():
+        raise GeoEvsError(f"target {target.key} was rendered with NaN or infinite pixels")
+    return to_uint8(rgb)

@@ -1,0 +1,91 @@
+"""Fitting and rendering one method on one scene: isolated, timed, and never in the run's way.
+
+A fit leaves `<folder>/<sources>/model/` and `<folder>/fit.json`; a render leaves
+`<folder>/<target key>.png` and `<folder>/render.json`. Both files say, for each set of sources,
+what it cost or at which stage and why it failed.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from geoevs.adapter import Budget
+from geoevs.io import new_folder, read_json, write_json
+from geoevs.protocol.entries import FAILED, OK, REFERENCE, MethodEntry
+from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
+from geoevs.protocol.targets import read_targets
+
+
+def fit_method(
+    entry: MethodEntry, scene: Path, targets: Path, budget: Budget, folder: Path, log: Path
+) -> None:
+    """Fit a method once for every set of sources that the targets use, and record the outcome."""
+    log.unlink(missing_ok=True)
+    with new_folder(folder) as partial:
+        outcomes = {}
+        for sources in _source_sets(targets):
+            model = partial / sources / "model"
+            model.mkdir(parents=True)
+            if entry.method == REFERENCE:
+                outcomes[sources] = _succeeded({"fit_seconds": 0.0, "bytes": 0}, Usage(0, 0))
+                continue
+            arguments = {
+                "scene": str(scene),
+                "method": entry.method,
+                "options": entry.options,
+                "seed": entry.seed,
+                "sources": sources,
+                "budget": asdict(budget),
+                "folder": str(model),
+            }
+            outcomes[sources] = _attempt("fit", arguments, log)
+        write_json(partial / "fit.json", outcomes)
+
+
+def render_method(
+    entry: MethodEntry,
+    model: Path,
+    targets: Path,
+    evidence: dict[str, str],
+    folder: Path,
+    log: Path,
+) -> None:
+    """Render all targets with a fitted method; a set of sources whose fit failed stays failed."""
+    log.unlink(missing_ok=True)
+    fits = read_json(model / "fit.json")
+    with new_folder(folder) as partial:
+        outcomes = {}
+        for sources, fit in fits.items():
+            if fit["status"] == FAILED:
+                outcomes[sources] = fit
+                continue
+            arguments = {
+                "method": entry.method,
+                "targets": str(targets),
+                "sources": sources,
+                "model": str(model / sources / "model"),
+                "evidence": evidence,
+                "folder": str(partial),
+            }
+            rendered = _attempt("render", arguments, log)
+            peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
+            outcomes[sources] = {**fit, **rendered, **peak}
+        write_json(partial / "render.json", outcomes)
+
+
+def _attempt(stage: str, arguments: dict[str, Any], log: Path) -> dict[str, Any]:
+    try:
+        step = f"geoevs.protocol.{stage}_step:{stage}_step"
+        result, usage = run_isolated(step, arguments, log)
+    except MethodFailedError as failure:
+        blank = {"peak_memory": 0, "gpu_memory": 0}
+        return {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log), **blank}
+    return _succeeded(result, usage)
+
+
+def _succeeded(result: dict[str, Any], usage: Usage) -> dict[str, Any]:
+    return {"status": OK, "stage": "", "reason": "", "log": "", **asdict(usage), **result}
+
+
+def _source_sets(targets: Path) -> list[str]:
+    return sorted({target.sources for target in read_targets(targets)})

@@ -1,0 +1,53 @@
+"""Dense truth of a target: a recorded image, or a rendered one that no method may see."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from geoevs.io import new_folder, read_image, to_float, write_bytes, write_image, write_json
+from geoevs.protocol.targets import Target
+from geoevs.scenes.scene import SceneRef, SceneSource
+from geoevs.scenes.store import Scene
+
+
+def write_truth(
+    folder: Path,
+    source: SceneSource,
+    ref: SceneRef,
+    targets: list[Target],
+    advance: Callable[[], None],
+) -> None:
+    """Render truth at every target that no camera recorded: `<target key>.png` and `.npz` (depth).
+
+    Sources without truth leave a folder that holds `truth.json` alone, which lists the targets.
+
+    Args:
+        folder: what to write, whole or not at all.
+        source: who renders.
+        ref: the scene.
+        targets: the scene's targets.
+        advance: called after each view, for a progress bar.
+    """
+    virtual = [target for target in targets if not target.recorded and source.has_truth]
+    with new_folder(folder) as partial:
+        views = [(target.camera, target.frame) for target in virtual]
+        rendered = source.truth(ref, views) if views else ()
+        for target, truth in zip(virtual, rendered, strict=True):
+            write_image(partial / f"{target.key}.png", truth.rgb)
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, depth=truth.depth)
+            write_bytes(partial / f"{target.key}.npz", buffer.getvalue())
+            advance()
+        write_json(partial / "truth.json", [target.key for target in virtual])
+
+
+def dense_truth(scene: Scene, truth: Path, target: Target) -> np.ndarray | None:
+    """(H, W, 3) float32 of a target's true pixels, or None where nobody knows them."""
+    if target.split == "observed":
+        return scene.image(target.camera.name, target.frame)
+    if target.split == "interpolation":
+        return scene.image(scene.info.rig.front, target.frame)
+    path = truth / f"{target.key}.png"
+    return to_float(read_image(path)) if path.exists() else None

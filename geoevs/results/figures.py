@@ -1,0 +1,135 @@
+"""Pictures of a run: for every table a grid of targets against methods, with what scored them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from geoevs import layout
+from geoevs.io import encode_png, read_image, to_uint8
+from geoevs.protocol.reference import References, SparseReference
+from geoevs.protocol.targets import Target, read_targets
+from geoevs.protocol.truth import dense_truth
+from geoevs.results.tables import TABLES
+from geoevs.scenes.store import Scene
+
+TILE_WIDTH = 256
+MARGIN = 4
+HEADER = 22
+BACKGROUND = (255, 255, 255)
+INK = (20, 20, 20)
+UNSUPPORTED = (90, 30, 90)
+SUPPORTED = (45, 45, 45)
+VALID = (120, 220, 120)
+NEW = (255, 90, 60)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a grid: its label and a picture, or nothing, for each column."""
+
+    label: str
+    pictures: list[np.ndarray | None]
+
+
+def table_grid(
+    table: str, run: Path, scenes: Sequence[tuple[str, str]], labels: Sequence[str], keeps: list
+) -> bytes:
+    """The grid picture of a table as PNG bytes.
+
+    Args:
+        table: one of TABLES.
+        run: the run's folder.
+        scenes: (dataset, scene) pairs to show.
+        labels: the entrants' labels, one column each.
+        keeps: the shares of the reference, for the sparsity table's rows.
+    """
+    rows = []
+    for dataset, scene in scenes:
+        where = {"dataset": dataset, "scene": scene}
+        store = Scene(run / layout.SCENE.format(**where))
+        references = References(run / layout.REFERENCES.format(**where))
+        truth = run / layout.TRUTH.format(**where)
+        targets = read_targets(run / layout.TARGETS.format(**where))
+        for target, keep in _pick(table, targets, keeps):
+            dense = dense_truth(store, truth, target)
+            evidence = [None if dense is None else to_uint8(dense)]
+            if not target.recorded:
+                reference = references[target.key]
+                image = reference.image() * reference.mask(keep)[..., None]
+                evidence += [to_uint8(image), validity_picture(reference, keep)]
+            renders = [
+                _read_render(run / layout.RENDERS.format(label=label, **where), target)
+                for label in labels
+            ]
+            share = "" if table != "sparsity" else f", {keep:.0%} of reference"
+            name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
+            rows.append(Row(name, [*evidence, *renders]))
+    recorded = TABLES[table].split in ("observed", "interpolation")
+    evidence_names = ["recorded"] if recorded else ["truth", "sparse reference", "validity"]
+    return encode_png(draw_grid([*evidence_names, *labels], rows))
+
+
+def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:
+    """(H, W, 3) uint8: where a target is scored, and what raw reprojection supports.
+
+    Grey is supported by reprojection, purple is not; green pixels score, orange ones score and
+    are new (not supported).
+    """
+    supported = reference.reprojected[..., None]
+    picture = np.where(supported, SUPPORTED, UNSUPPORTED).astype(np.uint8)
+    mask = reference.mask(keep)
+    picture[mask & reference.reprojected] = VALID
+    picture[mask & ~reference.reprojected] = NEW
+    return picture
+
+
+def draw_grid(columns: Sequence[str], rows: Sequence[Row]) -> np.ndarray:
+    """Lay pictures out under column headings, each row under its own label; (H, W, 3) uint8."""
+    first = next(picture for row in rows for picture in row.pictures if picture is not None)
+    height = round(TILE_WIDTH * first.shape[0] / first.shape[1])
+    size = (
+        len(columns) * (TILE_WIDTH + MARGIN) + MARGIN,
+        HEADER + len(rows) * (height + HEADER) + MARGIN,
+    )
+    canvas = Image.new("RGB", size, BACKGROUND)
+    draw = ImageDraw.Draw(canvas)
+    font = ImageFont.load_default(size=13)
+    for column, name in enumerate(columns):
+        draw.text((MARGIN + column * (TILE_WIDTH + MARGIN), 3), name, fill=INK, font=font)
+    for line, row in enumerate(rows):
+        top = HEADER + line * (height + HEADER)
+        draw.text((MARGIN, top + 3), row.label, fill=INK, font=font)
+        for column, picture in enumerate(row.pictures):
+            left = MARGIN + column * (TILE_WIDTH + MARGIN)
+            if picture is None:
+                draw.text((left + 8, top + HEADER + 8), "none", fill=INK, font=font)
+                continue
+            # Enlarged pixels stay sharp, so that sparse references can be read.
+            grow = picture.shape[1] < TILE_WIDTH
+            how = Image.Resampling.NEAREST if grow else Image.Resampling.BOX
+            tile = Image.fromarray(picture).resize((TILE_WIDTH, height), how)
+            canvas.paste(tile, (left, top + HEADER))
+    return np.asarray(canvas)
+
+
+def _read_render(renders: Path, target: Target) -> np.ndarray | None:
+    path = renders / f"{target.key}.png"
+    return read_image(path) if path.exists() else None
+
+
+def _pick(table: str, targets: list[Target], keeps: list[float]) -> list[tuple[Target, float]]:
+    """A few telling targets of a scene, each with the share of its reference to show."""
+    candidates = [target for target in targets if target.split == TABLES[table].split]
+    frames = sorted({target.frame for target in candidates})
+    middle = [target for target in candidates if target.frame == frames[len(frames) // 2]]
+    if table == "pose_offset":
+        one_side = [target for target in middle if "left" in target.camera.name]
+        return [(target, keeps[0]) for target in one_side if target.lateral_shift > 0]
+    if table == "sparsity":
+        return [(middle[0], keep) for keep in keeps]
+    if table == "interpolation":
+        return [(middle[0], keeps[0])]
+    return [(target, keeps[0]) for target in middle[:2]]

@@ -1,0 +1,102 @@
+"""Tables for people: Markdown and LaTeX, with intervals, flags and the paper's numbers."""
+
+import math
+
+import pandas as pd
+
+from geoevs.protocol.metrics import METRICS
+from geoevs.results.tables import LOWER_IS_BETTER_IN_PAPER, TableSpec, display_name
+
+LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
+italics. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than the floor, the
+control mean-colour. ∞ = an exact copy. Empty = not run, or not measurable here.
+"""
+
+
+def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
+    """A heading, one table for every data set, and a legend."""
+    parts = [f"# {spec.title}\n"]
+    for dataset, rows in table.groupby("dataset", sort=False):
+        header, body = _grid(spec, rows)
+        lines = [" | ".join(line) for line in (header, ["---"] * len(header), *body)]
+        parts.append(f"## {dataset}\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n")
+    parts.append(LEGEND)
+    return "\n".join(parts)
+
+
+def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
+    """A booktabs tabular for every data set, controls set apart by a rule."""
+    parts = [f"% {spec.title}"]
+    for dataset, rows in table.groupby("dataset", sort=False):
+        header, body = _grid(spec, rows)
+        lines = [
+            f"% {dataset}",
+            r"\begin{tabular}{l" + "c" * (len(header) - 1) + "}",
+            r"\toprule",
+            _latex_line(header),
+            r"\midrule",
+        ]
+        groups = rows["group"].tolist()
+        for position, line in enumerate(body):
+            if position and groups[position] != groups[position - 1]:
+                lines.append(r"\midrule")
+            lines.append(_latex_line(line))
+        parts.append("\n".join([*lines, r"\bottomrule", r"\end{tabular}"]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    shown = [metric for metric in (*spec.metrics, *spec.paper_only) if _has_content(rows, metric)]
+    header = ["method", *(["bin"] if spec.bins else [])]
+    for metric in shown:
+        if f"{metric}_paper" in rows:
+            header.append(f"{metric} {_arrow(metric)} paper")
+        header.append(f"{metric} {_arrow(metric)}")
+    body = []
+    for row in rows.to_dict("records"):
+        name = display_name(row["method"], row["variant"])
+        line = [f"*{name}*" if row["group"] == "control" else name]
+        line += [row["bin"]] if spec.bins else []
+        for metric in shown:
+            if f"{metric}_paper" in rows:
+                line.append(_number(metric, row[f"{metric}_paper"]))
+            line.append(_measured(metric, row))
+        body.append([*line, str(row["n"]) if row["n"] else "", row["note"]])
+    return [*header, "n", "note"], body
+
+
+def _has_content(rows: pd.DataFrame, metric: str) -> bool:
+    return f"{metric}_paper" in rows or rows[metric].notna().any()
+
+
+def _arrow(metric: str) -> str:
+    higher = (
+        METRICS[metric].higher_is_better
+        if metric in METRICS
+        else (metric not in LOWER_IS_BETTER_IN_PAPER)
+    )
+    return "↑" if higher else "↓"
+
+
+def _number(metric: str, value: float) -> str:
+    if math.isnan(value):
+        return ""
+    if math.isinf(value):
+        return "∞"
+    return f"{value:.2f}" if "psnr" in metric or metric == "fid" else f"{value:.3f}"
+
+
+def _measured(metric: str, row: dict) -> str:
+    text = _number(metric, row[metric])
+    if text and not math.isnan(row[f"{metric}_low"]) and not math.isinf(row[metric]):
+        text += (
+            f" [{_number(metric, row[f'{metric}_low'])}, {_number(metric, row[f'{metric}_high'])}]"
+        )
+    return text + (" ▼" if metric in row["below_floor"].split() else "")
+
+
+def _latex_line(cells: list[str]) -> str:
+    symbols = {"_": r"\_", "%": r"\%", "&": r"\&", "*": "", "∞": r"$\infty$"}
+    symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
+    escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]
+    return " & ".join(escaped) + r" \\"

@@ -1,0 +1,71 @@
+"""What a run was made of, so that any number in it can be made again."""
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),
+    *("opencv-contrib-python-headless", "pycolmap", "mitsuba", "numba", "scipy", "pillow"),
+)
+
+
+def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str, Any]:
+    """Commit, config, input hashes, versions and machine; no times, so that reruns agree.
+
+    Args:
+        config: the merged config of the run.
+        inputs: the scene stores and score files that it used.
+    """
+    return {
+        "commit": _commit(),
+        "config": config,
+        "seed": config["seed"],
+        "inputs": {str(path): hash_path(path) for path in inputs},
+        "versions": {"python": platform.python_version()}
+        | {name: importlib.metadata.version(name) for name in PACKAGES},
+        "machine": {
+            "system": f"{platform.system()} {platform.machine()}",
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        },
+    }
+
+
+def hash_path(path: Path) -> str:
+    """SHA-256 of a file, or of a folder's files with their relative names."""
+    digest = hashlib.sha256()
+    path = Path(path)
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.is_file():
+            digest.update(str(file.relative_to(path)).encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _commit() -> str:
+    """The commit of the code, marked where files differ from it."""
+    repository = Path(__file__).parents[2]
+    described = subprocess.run(
+        ["git", "describe", "--always", "--abbrev=40", "--dirty"],
+        cwd=repository,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return described.stdout.strip() or "not a git checkout"
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

@@ -1,0 +1,226 @@
+"""The paper's tables, measured and printed side by side, from score rows alone."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from geoevs.adapter import find_methods
+from geoevs.protocol.entries import REFERENCE
+from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.rows import check_fingerprints
+from geoevs.protocol.scoring import THINNING
+from geoevs.results.summary import summarise
+
+FLOOR = "mean-colour"
+"""The control that every method should beat; those that do not are flagged."""
+
+LOWER_IS_BETTER_IN_PAPER = ("fid", "lpips")
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """A table of the paper: which rows it averages, which columns it shows.
+
+    Args:
+        title: its heading.
+        split: the split whose rows it averages.
+        metrics: measured columns, the paper's first.
+        paper_only: columns of the paper that need weights this suite does not ship.
+        bins: the row column that splits it, or none.
+        edges: the config key, under `protocol`, of the bins' edges.
+    """
+
+    title: str
+    split: str
+    metrics: tuple[str, ...]
+    paper_only: tuple[str, ...] = ()
+    bins: str = ""
+    edges: str = ""
+
+
+TABLES = {
+    "extrapolation": TableSpec(
+        "Extrapolation: half-way yaw, shifted sideways (paper table 2, top)",
+        "extrapolation",
+        (
+            *("sparse_psnr", "sparse_ssim", "sparse_psnr_new", "sparse_psnr_footprint"),
+            *("psnr", "psnr_new", "ssim"),
+        ),
+    ),
+    "interpolation": TableSpec(
+        "Interpolation: the front camera from the front-side ones (paper table 5)",
+        "interpolation",
+        ("ssim", "psnr", "mae"),
+        paper_only=("lpips",),
+    ),
+    "observed": TableSpec(
+        "Observed views, themselves among the sources (paper table 1)",
+        "observed",
+        ("psnr", "ssim", "mae"),
+        paper_only=("fid",),
+    ),
+    "pose_offset": TableSpec(
+        "By angle to the front camera, in degrees (paper table 2, bottom left)",
+        "pose-sweep",
+        ("sparse_psnr", "sparse_ssim", "psnr"),
+        bins="pose_offset",
+        edges="pose_bins",
+    ),
+    "sparsity": TableSpec(
+        "By support ratio of the sparse reference (paper table 2, bottom right)",
+        "extrapolation",
+        ("sparse_psnr", "sparse_ssim"),
+        bins="support_ratio",
+        edges="support_bins",
+    ),
+}
+
+
+def make_table(
+    name: str, scores: pd.DataFrame, protocol: dict[str, Any], settings: dict[str, Any]
+) -> pd.DataFrame:
+    """One table: a row for every data set, method and bin, paper and measured columns.
+
+    Args:
+        name: one of TABLES.
+        scores: score rows.
+        protocol: the config's section, for the bins' edges.
+        settings: the config's `tables` section.
+
+    Returns:
+        Columns `dataset`, `group` (paper, method or control), `method`, `variant`, `bin` for
+        breakdowns, `<metric>_paper` where the paper has it, `<metric>`, `<metric>_low` and
+        `<metric>_high` for every metric, `n`, `failed`, `below_floor` and `note`.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    check_fingerprints(scores)
+    spec = TABLES[name]
+    rows = _table_rows(spec, scores, protocol)
+    by = ["dataset", "method", "variant", "bin", "metric"]
+    summary = summarise(rows, by, settings["resamples"], settings["confidence"])
+    bins = bin_labels(protocol[spec.edges]) if spec.bins else [""]
+    table = pd.DataFrame(
+        [
+            _table_row(name, spec, summary, dataset, method, variant, label)
+            for dataset in scores["dataset"].unique()
+            for method, variant in _entrants(name, scores)
+            for label in bins
+        ]
+    )
+    return table if spec.bins else table.drop(columns="bin")
+
+
+def bin_labels(edges: Sequence[float]) -> list[str]:
+    """Names of the bins between edges, as the paper writes them.
+
+    >>> bin_labels([0, 0.02, 0.05])
+    ['0-0.02', '0.02-0.05']
+    """
+    return [f"{low:g}-{high:g}" for low, high in itertools.pairwise(edges)]
+
+
+def display_name(method: str, variant: str) -> str:
+    """How tables write an entrant."""
+    name = _paper()["names"].get(method, method)
+    return name if variant == "default" else f"{name} ({variant})"
+
+
+@cache
+def _paper() -> dict[str, Any]:
+    return yaml.safe_load(
+        resources.files("geoevs.results").joinpath("paper_values.yaml").read_text()
+    )
+
+
+def _table_rows(spec: TableSpec, scores: pd.DataFrame, protocol: dict[str, Any]) -> pd.DataFrame:
+    rows = scores[(scores["split"] == spec.split) & scores["metric"].isin(spec.metrics)]
+    wanted = (rows["stressor"] == "") | (
+        (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
+    )
+    rows = rows[wanted]
+    if not spec.bins:
+        return rows.assign(bin="")
+    edges = protocol[spec.edges]
+    cut = pd.cut(rows[spec.bins], edges, right=False, labels=bin_labels(edges))
+    return rows.assign(bin=cut.astype("string")).dropna(subset="bin")
+
+
+def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
+    """Methods of the paper's table first, then ours, then controls; each in the rows' order."""
+    run = list(scores[["method", "variant"]].drop_duplicates().itertuples(index=False, name=None))
+    paper = [(method, "default") for method in _paper()["tables"][name]]
+    listed = paper + [entrant for entrant in run if entrant not in paper]
+    order = {"paper": 0, "method": 1, "control": 2}
+    return sorted(listed, key=lambda entrant: order[_group(name, entrant[0])])
+
+
+def _group(name: str, method: str) -> str:
+    if method == REFERENCE or ".controls." in find_methods().get(method, ""):
+        return "control"
+    return "paper" if method in _paper()["tables"][name] else "method"
+
+
+def _table_row(
+    name: str,
+    spec: TableSpec,
+    summary: pd.DataFrame,
+    dataset: str,
+    method: str,
+    variant: str,
+    label: str,
+) -> dict[str, Any]:
+    here = summary[(summary["dataset"] == dataset) & (summary["bin"] == label)]
+    mine = here[(here["method"] == method) & (here["variant"] == variant)].set_index("metric")
+    floor = here[here["method"] == FLOOR].set_index("metric")["mean"]
+    printed = _paper()["tables"][name].get(method, {}) if variant == "default" else {}
+    printed = printed.get(label, {}) if spec.bins else printed
+    row: dict[str, Any] = {
+        "dataset": dataset,
+        "group": _group(name, method),
+        "method": method,
+        "variant": variant,
+        "bin": label,
+    }
+    in_paper = {metric for values in _flat_paper(name, spec) for metric in values}
+    for metric in (*spec.metrics, *spec.paper_only):
+        if metric in in_paper:
+            row[f"{metric}_paper"] = printed.get(metric, math.nan)
+        for column, suffix in (("mean", ""), ("low", "_low"), ("high", "_high")):
+            row[metric + suffix] = mine[column].get(metric, math.nan)
+    first = mine.reindex(list(spec.metrics[:1]))
+    row["n"] = int(first["n"].fillna(0).iloc[0])
+    row["failed"] = int(first["failed"].fillna(0).iloc[0])
+    row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
+    row["note"] = _note(mine, row)
+    return row
+
+
+def _flat_paper(name: str, spec: TableSpec) -> list[dict[str, float]]:
+    values = _paper()["tables"][name].values()
+    return [cell for bins in values for cell in bins.values()] if spec.bins else list(values)
+
+
+def _worse(means: pd.Series, floor: pd.Series) -> list[str]:
+    return [
+        metric
+        for metric, mean in means.items()
+        if metric in floor.index
+        and (mean < floor[metric] if METRICS[metric].higher_is_better else mean > floor[metric])
+    ]
+
+
+def _note(mine: pd.DataFrame, row: dict[str, Any]) -> str:
+    if mine.empty:
+        return "not run"
+    if row["failed"]:
+        return f"failed on {row['failed']} of {row['failed'] + row['n']} views"
+    return ""

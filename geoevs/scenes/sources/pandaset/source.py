@@ -1,0 +1,181 @@
+"""PandaSet sequences in the folder format of their public release (see docs/pandaset.md)."""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_image
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import (
+    Frame,
+    PointCloud,
+    Rig,
+    SceneInfo,
+    SceneRecord,
+    SceneRef,
+    Truth,
+)
+from geoevs.scenes.sources.pandaset.calibration import read_camera, read_entry, read_timestamp
+from geoevs.scenes.sources.pandaset.tracks import read_tracks
+from geoevs.scenes.sources.pandaset.unpickle import read_table
+
+RIG = Rig(
+    front="front_camera",
+    front_left="front_left_camera",
+    front_right="front_right_camera",
+    lidar_split="sensor",
+)
+RIG_CAMERAS = (RIG.front, RIG.front_left, RIG.front_right)
+# Front to back, left before right; any other camera follows by name.
+CAMERA_ORDER = (*RIG_CAMERAS, "left_camera", "right_camera", "back_camera")
+LICENCE = "CC BY 4.0 with PandaSet's Dataset Terms of Use (Hesai and Scale AI)"
+SENSORS = (0, 1)  # Pandar64, PandarGT
+
+
+class Source:
+    """PandaSet: six cameras at 1920 x 1080, two LiDARs and boxes, ten times a second.
+
+    The released images are already free of lens distortion and `intrinsics.json` is their pinhole
+    K, so images are only resized. K gains half a pixel: PandaSet's is OpenCV's, whose pixel centres
+    are integers. Camera poses, points and boxes share one world with z up. How each was checked is
+    in docs/pandaset.md.
+
+    Args:
+        height, width: size of the run's images in pixels; whole images are resized to it.
+        folder: holds one folder per sequence, such as 002; `$NAME` in it is looked up in the
+            environment.
+
+    Raises:
+        GeoEvsError: the folder does not exist, or the variable it names is not set.
+    """
+
+    has_truth = False
+
+    def __init__(self, height: int, width: int, *, folder: str) -> None:
+        self.height, self.width = height, width
+        expanded = os.path.expandvars(str(folder))
+        if not expanded or not Path(expanded).is_dir():
+            raise GeoEvsError(
+                f"there is no PandaSet folder '{expanded or folder}'; set GEOEVS_PANDASET to the "
+                "folder that holds sequences such as 002"
+            )
+        self.folder = Path(expanded)
+
+    def open(self, scene: SceneRef) -> SceneRecord:
+        """Open one sequence; its boxes are read now, its images and sweeps as they are iterated.
+
+        Without a range, its frames are those that have a LiDAR sweep or an image on disk; with a
+        range, all of the range. Each must be whole.
+
+        Raises:
+            GeoEvsError: the sequence, a camera of the rig, a sweep, an image, a calibration entry
+                or a box file is missing; the sentence names the file.
+        """
+        folder = self.folder / scene.name
+        if not folder.is_dir():
+            raise GeoEvsError(
+                f"there is no PandaSet sequence at {folder}; set GEOEVS_PANDASET to the folder "
+                "that holds it, or name another scene"
+            )
+        cameras = _find_cameras(folder)
+        frames = _find_frames(folder, cameras, scene)
+        for file in ("poses.json", "timestamps.json"):
+            for sensor in (*(f"camera/{name}" for name in cameras), "lidar"):
+                read_entry(folder / sensor / file, frames[-1])
+        return SceneRecord(
+            info=SceneInfo(scene.name, "pandaset", LICENCE, RIG, cameras),
+            tracks=read_tracks(folder / "annotations/cuboids", frames),
+            frames=(self._read_frame(folder, cameras, frame) for frame in frames),
+            frame_count=len(frames),
+        )
+
+    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
+        """Recorded data have no truth where no camera stood.
+
+        Raises:
+            GeoEvsError: always.
+        """
+        raise GeoEvsError(
+            f"PandaSet scene '{scene.name}' has no dense truth at new poses; score it on its "
+            "sparse reference, or use a procedural scene"
+        )
+
+    def _read_frame(self, folder: Path, cameras: tuple[str, ...], number: int) -> Frame:
+        calibrated, images = {}, {}
+        for name in cameras:
+            image = read_image(folder / f"camera/{name}/{number:02d}.jpg")
+            camera = read_camera(folder / f"camera/{name}", number, *image.shape[:2])
+            calibrated[name] = camera.resized(self.height, self.width)
+            images[name] = cv2.resize(
+                image, (self.width, self.height), interpolation=cv2.INTER_AREA
+            )
+        return Frame(
+            frame=number,
+            timestamp=read_timestamp(folder / "lidar/timestamps.json", number),
+            cameras=calibrated,
+            images=images,
+            points=_read_sweep(folder / f"lidar/{number:02d}.pkl.gz"),
+        )
+
+
+def _find_cameras(folder: Path) -> tuple[str, ...]:
+    """Names of the camera folders in CAMERA_ORDER, then by name."""
+    for name in RIG_CAMERAS:
+        if not (folder / "camera" / name).is_dir():
+            raise GeoEvsError(
+                f"{folder / 'camera' / name} is missing; download the sequence's camera folders"
+            )
+    found = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
+    known = [name for name in CAMERA_ORDER if name in found]
+    return (*known, *sorted(found.difference(CAMERA_ORDER)))
+
+
+def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> list[int]:
+    """Numbers of the frames to read, in order, after checking that every file of them is there."""
+    files = {folder / "lidar": "pkl.gz"} | {folder / "camera" / name: "jpg" for name in cameras}
+    numbers = {sensor: _frame_numbers(sensor, suffix) for sensor, suffix in files.items()}
+    on_disk = set().union(*numbers.values())
+    if not on_disk:
+        raise GeoEvsError(f"{folder} has no LiDAR sweeps and no images; download the sequence")
+    frames = sorted(on_disk) if scene.first is None else range(scene.first, scene.last + 1)
+    for frame in frames:
+        for sensor, suffix in files.items():
+            if frame not in numbers[sensor]:
+                raise GeoEvsError(
+                    f"{sensor / f'{frame:02d}.{suffix}'} is missing; copy it there or choose "
+                    f"other frames ({min(on_disk)} to {max(on_disk)} are on disk)"
+                )
+    return list(frames)
+
+
+def _frame_numbers(sensor: Path, suffix: str) -> set[int]:
+    stems = (path.name.removesuffix(f".{suffix}") for path in sensor.glob(f"*.{suffix}"))
+    return {int(stem) for stem in stems if stem.isdigit() and stem == f"{int(stem):02d}"}
+
+
+def _read_sweep(path: Path) -> PointCloud:
+    """The points of both LiDARs, already in the world; the data do not say which beam."""
+    table = read_table(path)
+    for column in ("x", "y", "z", "d"):
+        if column not in table:
+            raise GeoEvsError(f"{path} has no column '{column}'; download it again")
+    try:
+        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is told
+            xyz = table[["x", "y", "z"]].to_numpy(np.float32)  # [N, 3]
+    except (TypeError, ValueError) as error:
+        raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
+    bad = ~np.isfinite(xyz).all(axis=1)
+    if bad.any():
+        raise GeoEvsError(
+            f"{path} has {bad.sum()} of {len(bad)} points that are NaN or infinite; download it "
+            "again or drop those rows"
+        )
+    if not table["d"].isin(SENSORS).all():
+        raise GeoEvsError(
+            f"{path} has points whose LiDAR 'd' is neither 0 nor 1; download it again"
+        )
+    return PointCloud.uncoloured(xyz, sensor=table["d"], beam=np.zeros(len(xyz)))

@@ -1,0 +1,76 @@
+"""PandaSet's cuboids as tracks: one box a frame and object, heading along its length."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from geoevs.errors import GeoEvsError
+from geoevs.scenes.scene import TRACK_COLUMNS
+from geoevs.scenes.sources.pandaset.unpickle import read_table
+
+# Where PandaSet keeps each number; a box's y side is its length, its x side its width.
+NUMBERS = {
+    "x": "position.x",
+    "y": "position.y",
+    "z": "position.z",
+    "length": "dimensions.y",
+    "width": "dimensions.x",
+    "height": "dimensions.z",
+    "yaw": "yaw",
+}
+SENSOR, SIBLING = "cuboids.sensor_id", "cuboids.sibling_id"
+FRONT_LIDAR = 1
+COLUMNS = ("uuid", "label", "stationary", SENSOR, SIBLING, *NUMBERS.values())
+
+
+def read_tracks(folder: Path, frames: Iterable[int]) -> pd.DataFrame:
+    """The boxes of `frames` from `folder`/NN.pkl.gz, with TRACK_COLUMNS.
+
+    A moving object that both LiDARs see is boxed twice, once for each sensor's instant. The pair is
+    one track, under the Pandar64 box's uuid, and the Pandar64 box is kept where a frame has both.
+
+    Raises:
+        GeoEvsError: a file is missing, unreadable (see `read_table`), lacks a column, or has a
+            number that is NaN or infinite.
+    """
+    boxes = pd.concat([_read_frame(folder, frame) for frame in frames], ignore_index=True)
+    paired = boxes["from_front_lidar"] & boxes["sibling"].isin(boxes["track"])
+    boxes["track"] = boxes["track"].where(~paired, boxes["sibling"])
+    # A track that moves in any frame moves; PandaSet's flag holds for the whole sequence anyway.
+    boxes["moving"] = boxes.groupby("track")["moving"].transform("any")
+    boxes = boxes.sort_values(["frame", "from_front_lidar"], kind="stable")
+    boxes = boxes.drop_duplicates(["frame", "track"])
+    return boxes[list(TRACK_COLUMNS)].reset_index(drop=True)
+
+
+def _read_frame(folder: Path, frame: int) -> pd.DataFrame:
+    path = folder / f"{frame:02d}.pkl.gz"
+    table = read_table(path)
+    for column in COLUMNS:
+        if column not in table:
+            raise GeoEvsError(f"{path} has no column '{column}'; download it again")
+    try:
+        numbers = {name: table[column].to_numpy(np.float64) for name, column in NUMBERS.items()}
+    except (TypeError, ValueError) as error:
+        raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
+    bad = ~np.isfinite(list(numbers.values())).all(axis=0)
+    if bad.any():
+        raise GeoEvsError(
+            f"{path} has {bad.sum()} boxes that are NaN or infinite; drop those rows or download "
+            "it again"
+        )
+    # PandaSet's yaw is 0 along world y; ours along world x, as atan2 has it.
+    numbers["yaw"] = (np.degrees(numbers["yaw"]) + 90 + 180) % 360 - 180
+    return pd.DataFrame(
+        {
+            "frame": frame,
+            "track": table["uuid"].astype(str),
+            "sibling": table[SIBLING].astype(str),
+            "label": table["label"].astype(str),
+            **numbers,
+            "moving": ~table["stationary"].astype(bool),
+            "from_front_lidar": table[SENSOR] == FRONT_LIDAR,
+        }
+    )

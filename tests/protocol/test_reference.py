@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+
+from geoevs.adapter import Views
+from geoevs.errors import GeoEvsError
+from geoevs.protocol.reference import (
+    References,
+    make_references,
+    sparse_reference,
+    write_references,
+)
+from geoevs.protocol.targets import Target, make_targets
+from geoevs.scenes.scene import PointCloud
+from geoevs.scenes.tiny import tiny_camera, tiny_truth, write_tiny_scene
+
+PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0], "every": 1}}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_tiny_scene(tmp_path_factory.mktemp("tiny") / "scene")
+
+
+def cloud(xyz, colours, camera):
+    points = PointCloud.uncoloured(np.array(xyz), np.zeros(len(xyz)), np.zeros(len(xyz)))
+    return PointCloud(
+        points.xyz,
+        np.array(colours, np.float32),
+        np.array(camera, np.int8),
+        points.sensor,
+        points.beam,
+    )
+
+
+def target_at(camera):
+    return Target("extrapolation", 0, camera, "all-cameras", 0.0, 0.0)
+
+
+def reference_of(points, camera, seed=0):
+    reprojected = np.zeros((camera.height, camera.width), bool)
+    rng = np.random.default_rng(seed)
+    return sparse_reference(points, target_at(camera), reprojected, rng)
+
+
+def test_the_nearest_point_gives_the_colour():
+    camera = tiny_camera("target", 0.0, np.zeros(3))
+    points = cloud([[9, 0, 0], [4, 0, 0]], [[1, 0, 0], [0, 1, 0]], [0, 0])
+    reference = reference_of(points, camera)
+    assert reference.mask().sum() == 1
+    row, column = np.argwhere(reference.mask())[0]
+    assert (row, column) == (24, 36)  # the principal point of 48 x 72
+    np.testing.assert_array_equal(reference.image()[row, column], [0, 1, 0])
+
+
+def test_a_point_without_colour_hides_but_never_scores():
+    camera = tiny_camera("target", 0.0, np.zeros(3))
+    points = cloud([[9, 0, 0], [4, 0, 0]], [[1, 0, 0], [0, 0, 0]], [0, -1])
+    assert not reference_of(points, camera).mask().any()
+
+
+def test_permuting_the_points_changes_nothing(scene):
+    camera = make_targets(scene, PROTOCOL)[5].camera
+    points = scene.points(0)
+    order = np.random.default_rng(0).permutation(len(points))
+    before, after = (reference_of(cloud, camera) for cloud in (points, points.select(order)))
+    np.testing.assert_array_equal(before.image(), after.image())
+    np.testing.assert_array_equal(before.mask(), after.mask())
+
+
+def test_thinned_masks_are_nested_and_of_the_asked_size(scene):
+    camera = scene.camera("front", 0)
+    reference = reference_of(scene.points(0), camera)
+    half, fifth = reference.mask(0.5), reference.mask(0.2)
+    assert not (fifth & ~half).any()
+    assert half.sum() == pytest.approx(0.5 * reference.mask().sum(), abs=1)
+    assert not (reference.footprint_mask() & ~reference.mask()).any()
+
+
+def test_scoring_points_never_condition(scene):
+    points = scene.points(0)
+    given = Views(scene, scene.cameras, needs=("lidar",)).lidar(0)
+    scoring = points.select(scene.info.rig.scores(points))
+    assert len(given) + len(scoring) == len(points)
+    assert not set(map(tuple, given.xyz)) & set(map(tuple, scoring.xyz))
+
+
+def test_the_reference_agrees_with_truth(scene):
+    targets = make_targets(scene, PROTOCOL)
+    references = make_references(scene, targets, np.random.default_rng(0))
+    assert set(references) == {target.key for target in targets if not target.recorded}
+    for target in targets:
+        if target.split != "extrapolation":
+            continue
+        reference = references[target.key]
+        truth = tiny_truth(target.camera).rgb / 255.0
+        error = np.abs(reference.image() - truth)[reference.mask()]
+        assert np.median(error) < 0.01
+
+
+def test_references_survive_a_round_trip(scene, tmp_path):
+    targets = make_targets(scene, PROTOCOL)
+    references = make_references(scene, targets, np.random.default_rng(0))
+    write_references(tmp_path / "references.npz", references)
+    read = References(tmp_path / "references.npz")
+    for key, reference in references.items():
+        np.testing.assert_array_equal(read[key].image(), reference.image())
+        np.testing.assert_array_equal(read[key].reprojected, reference.reprojected)
+
+
+def test_a_truncated_file_is_named(tmp_path):
+    path = tmp_path / "references.npz"
+    path.write_bytes(b"PK\x03\x04 not a whole archive")
+    with pytest.raises(GeoEvsError, match=r"references.npz is not whole"):
+        References(path)["any"]

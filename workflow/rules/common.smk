@@ -1,0 +1,90 @@
+# The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
+import json
+from pathlib import Path
+
+from geoevs import layout
+from geoevs.adapter import find_methods
+from geoevs.code_hash import code_hash
+from geoevs.config import check_config, method_entries
+from geoevs.errors import GeoEvsError
+from geoevs.protocol.entries import REFERENCE
+from geoevs.scenes.scene import find_sources
+from geoevs.results.tables import TABLES
+from snakemake.exceptions import WorkflowError
+
+try:
+    check_config(
+        config,
+        Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
+        [Path(file) for file in workflow.configfiles],
+    )
+except GeoEvsError as mistake:
+    raise WorkflowError(str(mistake)) from None
+
+RUN = f"results/{config['run']}"
+HEIGHT, WIDTH = config["resolution"]
+PROTOCOL = json.dumps(config["protocol"])
+ENTRIES = {entry.label: entry for entry in method_entries(config)}
+TEST_SCENES = [
+    (dataset, scene)
+    for dataset in config["evaluate"]
+    for scene in config["datasets"][dataset]["partitions"]["test"]
+]
+
+
+wildcard_constraints:
+    dataset="[^/]+",
+    scene="[^/]+",
+    label="[^/]+",
+    table="|".join(TABLES),
+
+
+def in_run(pattern):
+    """A path pattern of the run, its wildcards kept."""
+    return f"{RUN}/{pattern}"
+
+
+def every_scene(pattern):
+    """The pattern's paths for all test scenes."""
+    return [in_run(pattern).format(dataset=dataset, scene=scene) for dataset, scene in TEST_SCENES]
+
+
+def every_result(pattern):
+    """The pattern's paths for all entrants on all test scenes."""
+    return [
+        path.format(label=label)
+        for path in every_scene(pattern.replace("{label}", "{{label}}"))
+        for label in ENTRIES
+    ]
+
+
+def scene_arguments(wildcards):
+    """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
+    dataset = config["datasets"][wildcards.dataset]
+    return (
+        f"--source {dataset['source']} --name '{wildcards.scene}' --height {HEIGHT} "
+        f"--width {WIDTH} --options '{json.dumps(dataset['options'])}'"
+    )
+
+
+def source_code(wildcards):
+    """Hash of the data source that a scene comes from, and of how scenes are stored."""
+    source = config["datasets"][wildcards.dataset]["source"]
+    return code_hash(find_sources()[source], "geoevs.projection", "geoevs.scenes.store")
+
+
+def method_code(step):
+    """A function for `params`: hash of a method and of the step that runs it."""
+
+    def of(wildcards):
+        method = ENTRIES[wildcards.label].method
+        modules = [] if method == REFERENCE else [find_methods()[method]]
+        return code_hash(f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules)
+
+    return of
+
+
+def entry_arguments(wildcards):
+    """How a command is told which entrant it deals with."""
+    entry = ENTRIES[wildcards.label]
+    return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"

@@ -1,0 +1,33 @@
+# Scene stores, and the truth that no method may see (paper section 4.1).
+
+
+rule scene:
+    output:
+        directory(in_run(layout.SCENE)),
+    params:
+        scene=scene_arguments,
+        code=source_code,
+    threads: workflow.cores
+    log:
+        in_run("logs/scene/{dataset}/{scene}.log"),
+    benchmark:
+        in_run("benchmarks/scene/{dataset}/{scene}.tsv")
+    shell:
+        "geoevs --log {log:q} scene {params.scene} --out {output:q}"
+
+
+rule truth:
+    input:
+        targets=in_run(layout.TARGETS),
+    output:
+        directory(in_run(layout.TRUTH)),
+    params:
+        scene=scene_arguments,
+        code=source_code,
+    threads: workflow.cores
+    log:
+        in_run("logs/truth/{dataset}/{scene}.log"),
+    benchmark:
+        in_run("benchmarks/truth/{dataset}/{scene}.tsv")
+    shell:
+        "geoevs --log {log:q} truth {params.scene} --targets {input.targets:q} --out {output:q}"

@@ -1,0 +1,64 @@
+# One score row for every target and metric, one cost row for every fit (paper section 3.5).
+
+
+rule score:
+    input:
+        scene=in_run(layout.SCENE),
+        targets=in_run(layout.TARGETS),
+        references=in_run(layout.REFERENCES),
+        truth=in_run(layout.TRUTH),
+        renders=in_run(layout.RENDERS),
+    output:
+        scores=in_run(layout.SCORE_PART),
+        costs=in_run(layout.COST_PART),
+    params:
+        entry=entry_arguments,
+        protocol=PROTOCOL,
+        threads=workflow.cores,
+        code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
+    log:
+        in_run("logs/score/{dataset}/{scene}/{label}.log"),
+    benchmark:
+        in_run("benchmarks/score/{dataset}/{scene}/{label}.tsv")
+    shell:
+        "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
+        " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
+        " --references {input.references:q} --truth {input.truth:q} --renders {input.renders:q}"
+        " --protocol {params.protocol:q} --threads {params.threads} --out {output.scores:q}"
+        " --costs {output.costs:q}"
+
+
+rule scores:
+    input:
+        every_result(layout.SCORE_PART),
+    output:
+        in_run(layout.SCORES),
+    log:
+        in_run("logs/scores.log"),
+    shell:
+        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+
+
+rule costs:
+    input:
+        every_result(layout.COST_PART),
+    output:
+        in_run(layout.COSTS),
+    log:
+        in_run("logs/costs.log"),
+    shell:
+        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+
+
+rule manifest:
+    input:
+        every_scene(layout.SCENE),
+        in_run(layout.SCORES),
+    output:
+        in_run(layout.MANIFEST),
+    params:
+        config=json.dumps(config),
+    log:
+        in_run("logs/manifest.log"),
+    shell:
+        "geoevs --log {log:q} manifest {input:q} --config {params.config:q} --out {output:q}"

@@ -1,0 +1,34 @@
+# The views to synthesise, and the sparse references that score them (paper sections 3.5, 4.3).
+
+
+rule targets:
+    input:
+        scene=in_run(layout.SCENE),
+    output:
+        in_run(layout.TARGETS),
+    params:
+        protocol=PROTOCOL,
+        code=code_hash("geoevs.protocol.targets"),
+    log:
+        in_run("logs/targets/{dataset}/{scene}.log"),
+    shell:
+        "geoevs --log {log:q} targets --scene {input.scene:q} --protocol {params.protocol:q}"
+        " --out {output:q}"
+
+
+rule references:
+    input:
+        scene=in_run(layout.SCENE),
+        targets=in_run(layout.TARGETS),
+    output:
+        in_run(layout.REFERENCES),
+    params:
+        seed=config["seed"],
+        code=code_hash("geoevs.protocol.reference"),
+    log:
+        in_run("logs/references/{dataset}/{scene}.log"),
+    benchmark:
+        in_run("benchmarks/references/{dataset}/{scene}.tsv")
+    shell:
+        "geoevs --log {log:q} references --scene {input.scene:q} --targets {input.targets:q}"
+        " --seed {params.seed} --out {output:q}"
