@@ -201,8 +201,7 @@ def test_unknown_methods_and_options_are_refused():
 @pytest.fixture
 def run():
     app = Typer()
-    app.command("new-adapter")(adapters.new_adapter)
-    app.command("check-adapter")(adapters.check_adapter)
+    adapters.register(app)
     return lambda *arguments: CliRunner().invoke(app, arguments)
 
 

@@ -22,6 +22,12 @@ MARKS = {
 }
 
 
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (new_adapter, check_adapter):
+        app.command()(command)
+
+
 def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) -> None:
     """Write a small working adapter, for you to change, and its test."""
     root = Path(baselines.__path__[0]).parent
@@ -32,7 +38,7 @@ def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) 
     called = written[0].parent.name.replace("_", "-")
     console.print(
         f"\nNow: edit {written[0].relative_to(root)}, run [bold]geoevs check-adapter {called}[/] "
-        f"as you go,\nand add '{called}' to `methods` in config.yaml to have it scored.",
+        f"as you go,\nand add `{called}: {{}}` under `methods` in config.yaml to have it scored.",
         soft_wrap=True,
     )
 
