@@ -6,11 +6,19 @@ from geoevs.scenes.sources.street.layout import KERB_HEIGHT, KerbLine, Street
 from geoevs.scenes.sources.street.mesh import MeshBuilder, add_tube, boxes, icosphere
 
 STEEL = (0.16, 0.17, 0.17)
+CLUMPS, LEAVES = 11, 150  # clumps of leaves a tree, leaves a clump
 
 
-def add_furniture(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Place furniture along every kerb."""
+def add_furniture(
+    builder: MeshBuilder,
+    street: Street,
+    gardens: list[tuple[np.ndarray, np.ndarray]],
+    rng: np.random.Generator,
+) -> None:
+    """Place furniture along every kerb, and trees in the (start, end) gardens between houses."""
     trees = [_tree(rng) for _ in range(4)]
+    for start, end in gardens:
+        _plant(builder, start, end, trees, rng)
     for kerb in street.kerbs:
         spacing = rng.uniform(8, 13)
         strip = 0.2 + max(street.verge, 1.0) / 2
@@ -59,22 +67,62 @@ def _tree(rng: np.random.Generator) -> MeshBuilder:
     add_tube(tree, "matte", (0, 0, -0.1), (*lean, fork), (0.17, 0.12), bark, 9)
     green = np.array([0.075, 0.135, 0.03]) * rng.uniform(0.75, 1.35)
     green = green * [rng.uniform(0.8, 1.5), 1, rng.uniform(0.7, 1.2)]
-    ball = icosphere(3)
-    for number in range(11):
+    ball = icosphere(1)
+    for number in range(CLUMPS):
         turn = number * 2.4 + rng.uniform(-0.4, 0.4)
         out = 0.0 if number == 0 else rng.uniform(0.6, 1.55)
         z = fork + (2.6 if number == 0 else rng.uniform(0.5, 2.4))
         centre = np.array([lean[0] + out * np.cos(turn), lean[1] + out * np.sin(turn), z])
         if number % 3 == 1:
             add_tube(tree, "matte", (*lean, fork - 0.3), centre, (0.09, 0.03), bark, 6)
-        waves = rng.normal(size=(9, 3)) * 3.2
-        phase = rng.uniform(0, 2 * np.pi, 9)
-        bumps = 1 + 0.075 * np.sin(ball @ waves.T + phase).sum(axis=2, keepdims=True)
-        leaves = ball * bumps * rng.uniform(0.75, 1.15) * [1, 1, 0.85] + centre
-        shade = green * (1 + 0.28 * rng.normal(size=(len(ball), 1)).clip(-2, 2))
-        hang = 0.72 + 0.28 * np.clip(ball[:, :, 2].mean(axis=1, keepdims=True) + 0.4, 0, 1)
-        tree.triangles("matte", leaves, np.clip(shade * hang, 0.005, 0.5))
+        size = rng.uniform(0.75, 1.15) * np.array([1, 1, 0.85])
+        # A dark core keeps the sky from shining through; leaves cover it.
+        tree.triangles("matte", 0.86 * size * ball + centre, 0.6 * green)
+        leaves, light = _leaves(rng)
+        shade = green * light * (1 + 0.25 * rng.normal(size=(len(leaves), 1)).clip(-2, 2))
+        tree.quads("matte", size * leaves + centre, np.clip(shade, 0.004, 0.5))
     return tree
+
+
+def _plant(
+    builder: MeshBuilder,
+    start: np.ndarray,  # [2]
+    end: np.ndarray,  # [2]
+    trees: list[MeshBuilder],
+    rng: np.random.Generator,
+) -> None:
+    """A garden behind a low wall, with rows of trees that close the view."""
+    along = (end - start) / np.linalg.norm(end - start)
+    inward = np.array([-along[1], along[0]])
+    ring = np.array([start, end, end + 0.25 * inward, start + 0.25 * inward])
+    low, high = (np.column_stack([ring, np.full(4, z)]) for z in (0.1, KERB_HEIGHT + 1.1))
+    sides = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
+    builder.quads("matte", np.concatenate([sides, high[None]]), (0.36, 0.30, 0.25))
+    for depth in (4.0, 9.0, 15.0):
+        for share in np.arange(0.15, 1.0, 0.3):
+            x, y = start + share * (end - start) + rng.uniform(-1, 1) * along + depth * inward
+            tree, size = trees[rng.integers(len(trees))], rng.uniform(0.8, 1.2)
+            builder.place(tree, x, y, KERB_HEIGHT - 0.5, rng.uniform(0, 2 * np.pi), size)
+
+
+def _leaves(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 4, 3) leaves over a unit sphere, seen from both sides, and (N, 1) their brightness."""
+    out = rng.normal(size=(LEAVES, 3))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    normal = out + 0.55 * rng.normal(size=out.shape)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    side = np.cross(normal, rng.normal(size=out.shape))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    long, wide = rng.uniform(0.10, 0.20, (2, LEAVES, 1))
+    reach = rng.uniform(0.78, 1.12, (LEAVES, 1))
+    middle = reach * out
+    up = np.cross(normal, side)
+    front = np.stack(
+        [middle - long * side, middle - wide * up, middle + long * side, middle + wide * up], axis=1
+    )
+    back = front[:, ::-1] - 0.006 * normal[:, None]
+    light = (0.75 + 0.45 * (reach - 0.78) / 0.34) * (0.9 + 0.1 * out[:, 2:])
+    return np.concatenate([front, back]), np.concatenate([light, light])
 
 
 def _lamp() -> MeshBuilder:
@@ -148,18 +196,19 @@ def _add_hedge(
 ) -> None:
     """Front gardens end in hedges with gaps for the doors."""
     near, far = kerb.offset(offset), kerb.offset(offset + 0.6)
-    green = np.array([0.05, 0.105, 0.028])
     for leg in kerb.legs:
         for i in range(leg.start, leg.stop - 1):
-            if rng.random() < 0.3 or np.linalg.norm(near[i + 1] - near[i]) < 0.5:
+            length = float(np.linalg.norm(near[i + 1] - near[i]))
+            if rng.random() < 0.3 or length < 0.5:
                 continue
             plan = np.array([near[i], near[i + 1], far[i + 1], far[i]])
             top = KERB_HEIGHT + rng.uniform(0.75, 1.0)
             low = np.column_stack([plan, np.full(4, KERB_HEIGHT)])
             high = np.column_stack([plan, np.full(4, top)])
             sides = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
-            shade = green * (1 + 0.2 * rng.normal(size=(5, 1)).clip(-2, 2))
-            builder.quads("matte", np.concatenate([sides, high[None]]), shade)
+            uv = np.array([[0, 0], [length, 0], [length, 0.9], [0, 0.9]]) + rng.uniform(0, 2, 2)
+            quads = np.concatenate([sides, high[None]])
+            builder.quads("hedge", quads, (1, 1, 1), uv=np.broadcast_to(uv, (5, 4, 2)))
 
 
 def _add_traffic_lights(builder: MeshBuilder, street: Street) -> None:
