@@ -14,7 +14,7 @@ Config = Annotated[str, typer.Option(help="A section of the config, as JSON.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (collect, table, grid, manifest, failures):
+    for command in (collect, table, cost_table, grid, manifest, failures):
         app.command()(command)
 
 
@@ -49,6 +49,21 @@ def table(
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(TABLES[name], made))
     write_text(out.with_suffix(".tex"), to_latex(TABLES[name], made))
+
+
+def cost_table(
+    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Make the table of times, memory and sizes as CSV and Markdown."""
+    import pandas as pd
+
+    from geoevs.io import write_text
+    from geoevs.results.costs import cost_markdown, make_cost_table
+
+    made = make_cost_table(pd.read_parquet(costs))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), cost_markdown(made))
 
 
 def grid(

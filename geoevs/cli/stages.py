@@ -19,7 +19,7 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (scene, targets, truth, references, fit, render, score):
+    for command in (scene, targets, truth, references, fit, render, score, export):
         app.command()(command)
 
 
@@ -168,6 +168,31 @@ def score(
     write_bytes(
         costs, cost_frame(cost_rows(entry, renders, threads, place)).to_parquet(index=False)
     )
+
+
+def export(
+    scene: SceneFolder,
+    targets: TargetFile,
+    out: Out,
+    sources: Annotated[
+        str, typer.Option(help="all-cameras, or front-side for interpolation.")
+    ] = "all-cameras",
+) -> None:
+    """Write what a method may see as a scene folder, and the cameras to render as cameras.json.
+
+    For methods in another environment or language: they leave <camera>/<frame>.png, six digits a
+    frame, which the control `external` scores.
+    """
+    from geoevs.adapter import NEEDS, Views
+    from geoevs.io import new_folder
+    from geoevs.protocol.targets import read_targets, source_cameras, write_targets
+    from geoevs.scenes.store import Scene
+
+    store = Scene(scene)
+    wanted = [target for target in read_targets(targets) if target.sources == sources]
+    with new_folder(out) as partial:
+        Views(store, source_cameras(store, sources), NEEDS).save(partial / "scene")
+        write_targets(partial / "cameras.json", wanted)
 
 
 def _object(text: str) -> dict[str, Any]:

@@ -11,21 +11,32 @@ from geoevs.projection import unproject_depth
 from geoevs.scenes.camera import Camera
 
 LIFT_SCALE = 2
-"""Views are lifted at this multiple of their resolution: one point a pixel leaves cracks that are
-no disocclusions."""
+"""Views are lifted at this multiple of the target's resolution: one point a pixel leaves cracks
+that are no disocclusions."""
 
 
 def lift_view(
     image: np.ndarray,  # [H, W, 3] float
     depth: np.ndarray,  # [H, W] metres, 0 = none
     camera: Camera,
+    target: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One view's pixels as world points with colours, LIFT_SCALE points a pixel in x and in y.
+    """One view's pixels as world points with colours, LIFT_SCALE points a target's pixel each way.
+
+    Args:
+        image: the view's colours.
+        depth: along its optical axis.
+        camera: its calibration.
+        target: where the points will be projected; only its focal lengths count. Rigs mix
+            lenses: PandaSet's side cameras have half the focal length of its front camera.
 
     Returns:
         xyz (N, 3) float32 in metres and rgb (N, 3) float32; pixels without depth give none.
     """
-    fine = camera.resized(camera.height * LIFT_SCALE, camera.width * LIFT_SCALE)
+    across, down = (
+        max(1, round(LIFT_SCALE * target.K[axis, axis] / camera.K[axis, axis])) for axis in (0, 1)
+    )
+    fine = camera.resized(camera.height * down, camera.width * across)
     size = (fine.width, fine.height)
     # Depth must not blend across edges; colours at the target's own resolution must not alias.
     fine_depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
@@ -38,10 +49,11 @@ def lift_frame(
     views: Views,
     frame: int,
     depths: Mapping[str, np.ndarray],  # each [H, W] metres, 0 = none
+    target: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
     """All source views of one frame as one cloud, in the cameras' order (see `lift_view`)."""
     clouds = [
-        lift_view(views.image(name, frame), depths[name], views.camera(name, frame))
+        lift_view(views.image(name, frame), depths[name], views.camera(name, frame), target)
         for name in views.cameras
     ]
     return np.concatenate([xyz for xyz, _ in clouds]), np.concatenate([rgb for _, rgb in clouds])

@@ -91,7 +91,8 @@ def make_references(
             continue
         points = scene.points(frame)
         scoring = points.select(scene.info.rig.scores(points))
-        cloud, _ = lift_frame(views, frame, lidar_depths(views, frame))
+        # All of them have the front camera's lens, so one cloud is fine enough for each.
+        cloud, _ = lift_frame(views, frame, lidar_depths(views, frame), virtual[0].camera)
         for target in virtual:
             if target.sources != ALL_CAMERAS:
                 raise ValueError(f"no sparse reference is defined for sources {target.sources}")

@@ -163,8 +163,13 @@ def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
     return sorted(listed, key=lambda entrant: order[_group(name, entrant[0])])
 
 
+def is_control(method: str) -> bool:
+    """Whether a method only marks a floor, a ceiling or a simple baseline."""
+    return method == REFERENCE or ".controls." in find_methods().get(method, "")
+
+
 def _group(name: str, method: str) -> str:
-    if method == REFERENCE or ".controls." in find_methods().get(method, ""):
+    if is_control(method):
         return "control"
     return "paper" if method in _paper()["tables"][name] else "method"
 

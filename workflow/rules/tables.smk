@@ -1,6 +1,7 @@
 # From rows to what people read.
 
 TABLE_FILES = [in_run(layout.TABLE) + suffix for suffix in (".csv", ".md", ".tex")]
+COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -19,6 +20,20 @@ rule table:
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
         " --protocol {params.protocol:q} --settings {params.settings:q} --out {params.stem:q}"
+
+
+rule cost_table:
+    input:
+        in_run(layout.COSTS),
+    output:
+        COST_FILES,
+    log:
+        in_run("logs/cost_table.log"),
+    params:
+        stem=in_run(layout.COST_TABLE),
+        code=code_hash("geoevs.results.costs"),
+    shell:
+        "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
 
 
 rule figure:
@@ -52,5 +67,5 @@ rule tables:
     input:
         expand(TABLE_FILES, table=TABLES),
         expand(in_run(layout.FIGURE), table=TABLES),
-        in_run(layout.COSTS),
+        COST_FILES,
         in_run(layout.MANIFEST),

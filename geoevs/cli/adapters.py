@@ -1,0 +1,84 @@
+"""The commands for people who add a method: `new-adapter` and `check-adapter`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+import baselines
+from geoevs.adapter_check import Check
+from geoevs.adapter_check import check_adapter as run_checks
+from geoevs.adapter_template import new_adapter as write_adapter
+from geoevs.errors import GeoEvsError
+
+MARKS = {
+    "passed": "[green]✓[/]",
+    "failed": "[red]✗[/]",
+    "warned": "[yellow]![/]",
+    "skipped": "[dim]–[/]",
+}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (new_adapter, check_adapter):
+        app.command()(command)
+
+
+def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) -> None:
+    """Write a small working adapter, for you to change, and its test."""
+    root = Path(baselines.__path__[0]).parent
+    console = Console()
+    written = write_adapter(name, root)
+    for path in written:
+        console.print(f"wrote {escape(str(path.relative_to(root)))}", soft_wrap=True)
+    called = written[0].parent.name.replace("_", "-")
+    console.print(
+        f"\nNow: edit {written[0].relative_to(root)}, run [bold]geoevs check-adapter {called}[/] "
+        f"as you go,\nand add `{called}: {{}}` under `methods` in config.yaml to have it scored.",
+        soft_wrap=True,
+    )
+
+
+def check_adapter(
+    name: Annotated[str, typer.Argument(help="the method, such as my-method")],
+    options: Annotated[str, typer.Option(help="its options as JSON")] = "{}",
+    traceback: Annotated[bool, typer.Option(help="print the method's own tracebacks")] = False,
+) -> None:
+    """Check on a tiny scene that a method keeps the contract; exit code 1 if it does not."""
+    checks = run_checks(name, parse_options(options))
+    console = Console()
+    for check in checks:
+        _print_check(console, check, traceback)
+    failed = [check for check in checks if check.status == "failed"]
+    if any(check.traceback for check in failed) and not traceback:
+        console.print("[dim]--traceback prints where it was raised[/]")
+    if failed:
+        raise typer.Exit(1)
+
+
+def parse_options(text: str) -> dict:
+    """A method's options from JSON.
+
+    Raises:
+        GeoEvsError: the text is not a JSON object.
+    """
+    try:
+        options = json.loads(text)
+    except ValueError as error:
+        raise GeoEvsError(f"--options is not JSON ({error}); write --options '{{...}}'") from error
+    if not isinstance(options, dict):
+        raise GeoEvsError(f"--options is {text}; write a JSON object, such as '{{\"steps\": 100}}'")
+    return options
+
+
+def _print_check(console: Console, check: Check, traceback: bool) -> None:
+    line = f"{MARKS[check.status]} {check.name}"
+    if check.sentence:
+        line += f": {escape(check.sentence)}"
+    console.print(line, soft_wrap=True, highlight=False)
+    if traceback and check.traceback:
+        console.print(escape(check.traceback), soft_wrap=True, highlight=False)

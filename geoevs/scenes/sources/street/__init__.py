@@ -1,0 +1,1 @@
+"""Procedural streets, rendered with Mitsuba 3: the data source that needs no download."""

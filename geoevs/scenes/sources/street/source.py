@@ -1,0 +1,186 @@
+"""The `street` data source: procedural streets with dense truth at any pose and instant."""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import Frame, SceneInfo, SceneRecord, SceneRef, Truth
+from geoevs.scenes.sources.street.buildings import add_buildings
+from geoevs.scenes.sources.street.finishes import make_finishes
+from geoevs.scenes.sources.street.furniture import add_furniture
+from geoevs.scenes.sources.street.ground import add_ground
+from geoevs.scenes.sources.street.layout import LAYOUTS, make_street
+from geoevs.scenes.sources.street.lidar import scan
+from geoevs.scenes.sources.street.light import make_light
+from geoevs.scenes.sources.street.mesh import MeshBuilder
+from geoevs.scenes.sources.street.render import render_depth, render_image
+from geoevs.scenes.sources.street.rig import MOUNTS, RIG, Ego, make_cameras
+from geoevs.scenes.sources.street.stage import Scenes, Stage
+from geoevs.scenes.sources.street.traffic import make_actors, make_tracks
+
+INTERVAL = 0.1  # seconds between frames
+MOST_FRAMES = 60  # after which the ego would come near the end of its street
+
+
+def keyed_rng(*key: object) -> np.random.Generator:
+    """A generator that depends on the whole key and on nothing else."""
+    digest = hashlib.sha256("/".join(map(str, key)).encode()).digest()
+    return np.random.default_rng(np.frombuffer(digest, np.uint32))
+
+
+class World:
+    """One scene: its street, light, actors and vehicle; a pure function of its name."""
+
+    def __init__(self, name: str) -> None:
+        layout = name.partition("-")[0]
+        self.name = name
+        self._street = make_street(layout, keyed_rng(name, "street"))
+        self.light = make_light(keyed_rng(name, "light"))
+        self.ego = Ego(self._street, keyed_rng(name, "ego").uniform(8, 12))
+        self.actors = make_actors(self._street, self.ego.speed, keyed_rng(name, "actors"))
+        self._stage: Stage | None = None
+
+    def at(self, frame: int) -> Scenes:
+        """The Mitsuba scenes of a frame."""
+        moving = MeshBuilder()
+        for actor in self.actors:
+            if actor.moving:
+                actor.add_to(moving, frame * INTERVAL)
+        return self._built().with_moving(moving.surfaces())
+
+    def _built(self) -> Stage:
+        if self._stage is None:
+            still = MeshBuilder()
+            add_ground(still, self._street, keyed_rng(self.name, "ground"))
+            add_buildings(still, self._street, keyed_rng(self.name, "buildings"))
+            add_furniture(still, self._street, keyed_rng(self.name, "furniture"))
+            for actor in self.actors:
+                if not actor.moving:
+                    actor.add_to(still, 0.0)
+            finishes = make_finishes(keyed_rng(self.name, "finishes"))
+            self._stage = Stage(self.light, finishes, still.surfaces())
+        return self._stage
+
+
+class Source:
+    """Procedural streets; scenes are called `<layout>-<seed>`, such as `curve-101`.
+
+    Args:
+        height, width: pixels of every image; the field of view is always the same.
+        frames: length of every scene, at 10 frames a second.
+        lidar_azimuths: measurements of each of the 64 beams in a turn.
+        samples: rays a pixel that an image is made of.
+
+    Raises:
+        GeoEvsError: an option is out of its range.
+    """
+
+    has_truth = True
+
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        *,
+        frames: int = 8,
+        lidar_azimuths: int = 400,
+        samples: int = 25,
+    ) -> None:
+        for name, value, most in (
+            ("frames", frames, MOST_FRAMES),
+            ("lidar_azimuths", lidar_azimuths, 4000),
+            ("samples", samples, 400),
+        ):
+            if not 1 <= value <= most:
+                raise GeoEvsError(
+                    f"street's option '{name}' is {value}; choose a whole number from 1 to {most}"
+                )
+        self._height, self._width = height, width
+        self._frames, self._azimuths, self._samples = frames, lidar_azimuths, samples
+        self._world: World | None = None
+
+    def open(self, scene: SceneRef) -> SceneRecord:
+        """Open a scene; each frame is rendered when it is iterated.
+
+        Raises:
+            GeoEvsError: the name is not `<layout>-<seed>`, or the scene has none of the frames.
+        """
+        world = self._enter(scene)
+        frames = [frame for frame in range(self._frames) if scene.holds(frame)]
+        if not frames:
+            raise GeoEvsError(
+                f"scene '{scene.name}' has no frame in {scene.first}-{scene.last}; "
+                f"its frames are 0 to {self._frames - 1}"
+            )
+        info = SceneInfo(
+            name=scene.name,
+            source="street",
+            licence="CC0-1.0",
+            rig=RIG,
+            cameras=tuple(MOUNTS),
+        )
+        return SceneRecord(
+            info=info,
+            tracks=make_tracks(world.actors, frames, INTERVAL),
+            frames=self._record(world, frames),
+            frame_count=len(frames),
+        )
+
+    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterable[Truth]:
+        """Dense RGB and depth at (camera, frame) pairs, rendered one by one as they are iterated.
+
+        Raises:
+            GeoEvsError: the scene's name is wrong, or the scene does not have one of the frames.
+        """
+        world = self._enter(scene)
+        for _, frame in views:
+            if not (scene.holds(frame) and 0 <= frame < self._frames):
+                raise GeoEvsError(
+                    f"scene '{scene.name}' has no frame {frame}; ask for frames from 0 to "
+                    f"{self._frames - 1} within the scene's range"
+                )
+        return self._render_truth(world, views)
+
+    def _enter(self, scene: SceneRef) -> World:
+        layout, dash, seed = scene.name.partition("-")
+        if layout not in LAYOUTS or not dash or not seed.isdecimal():
+            raise GeoEvsError(
+                f"street scene '{scene.name}' is not of the form LAYOUT-SEED with a layout and a "
+                f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
+            )
+        if self._world is None or self._world.name != scene.name:
+            self._world = World(scene.name)
+        return self._world
+
+    def _record(self, world: World, frames: list[int]) -> Iterator[Frame]:
+        for frame in frames:
+            scenes, pose = world.at(frame), world.ego.pose(frame * INTERVAL)
+            cameras = make_cameras(pose, self._height, self._width)
+            images = {
+                name: self._render(world, scenes, camera, frame, f"recorded/{name}")
+                for name, camera in cameras.items()
+            }
+            rng = keyed_rng(world.name, frame, "lidar")
+            points = scan(scenes.lit, pose, self._azimuths, rng)
+            yield Frame(frame, frame * INTERVAL, cameras, images, points)
+
+    def _render_truth(
+        self, world: World, views: Sequence[tuple[Camera, int]]
+    ) -> Iterator[Truth]:
+        current, scenes = None, None
+        for camera, frame in views:
+            if frame != current:
+                current, scenes = frame, world.at(frame)
+            rgb = self._render(world, scenes, camera, frame, "truth")
+            yield Truth(rgb, render_depth(scenes, camera))
+
+    def _render(
+        self, world: World, scenes: Scenes, camera: Camera, frame: int, purpose: str
+    ) -> np.ndarray:
+        rng = keyed_rng(world.name, frame, purpose)
+        return render_image(
+            scenes, camera, world.light, world.actors, frame * INTERVAL, self._samples, rng
+        )
