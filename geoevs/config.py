@@ -156,7 +156,17 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
             if entry.method == REFERENCE and entry.options:
                 raise GeoEvsError(f"the control '{REFERENCE}' has no options; remove them")
             if entry.options:
-                check_options(f"method '{name}'", method_class(entry.method), entry.options)
+                check_options(f"method '{name}'", _imported(entry.method), entry.options)
             if entry.label in labels:
                 raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
             labels.add(entry.label)
+
+
+def _imported(method: str) -> type:
+    try:
+        return method_class(method)
+    except ImportError as error:
+        raise GeoEvsError(
+            f"method '{method}' cannot be imported ({error}); install what it lacks, or set it to "
+            "null to leave it out"
+        ) from error

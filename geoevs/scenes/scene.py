@@ -202,7 +202,7 @@ def source_class(name: str) -> type[SceneSource]:
     Raises:
         GeoEvsError: there is none; the sentence names the nearest one.
     """
-    return load_plugin("data source", name, find_sources()).Source
+    return load_plugin("data source", name, find_sources(), "Source")
 
 
 def load_source(name: str, height: int, width: int, options: dict) -> SceneSource:
