@@ -46,6 +46,28 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
             raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
 
 
+def check_syntax(path: str | Path) -> None:
+    """Check that a config file, where there is one, is YAML; Snakemake would not say what is not.
+
+    Raises:
+        GeoEvsError: it is not; the sentence names the line.
+    """
+    path = Path(path)
+    if not path.exists():
+        return
+    try:
+        yaml.compose(path.read_text())
+    except yaml.MarkedYAMLError as mistake:
+        line = mistake.problem_mark.line + 1
+        raise GeoEvsError(
+            f"{path}:{line}: this is not YAML ({mistake.problem}); check brackets, quotes and "
+            "indentation above it"
+        ) from None
+    except (ValueError, yaml.YAMLError) as error:  # of its characters
+        reason = " ".join(str(error).split())
+        raise GeoEvsError(f"{path} is not plain UTF-8 text ({reason}); save it as such") from None
+
+
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
     """The run's entrants, one for every method, variant and seed."""
     return [

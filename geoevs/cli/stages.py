@@ -40,9 +40,8 @@ def scene(
         points = colour_points(frame.points, frame.cameras, frame.images)
         return dataclasses.replace(frame, points=points)
 
-    record = load_source(source, height, width, parse_json("--options", options)).open(
-        SceneRef.parse(name)
-    )
+    made = load_source(source, height, width, parse_json("--options", options))
+    record = made.open(SceneRef.parse(name))
     with progress_bar(f"scene {name}", record.frame_count) as advance:
         frames = (coloured(frame) for frame in counted(record.frames, advance))
         write_scene(out, record.info, record.tracks, frames)

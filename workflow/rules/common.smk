@@ -100,7 +100,9 @@ def budget_arguments(wildcards):
     """The budget of a fit, and the options it is made with."""
     seconds = config["budget"]["fit_seconds"]
     limit = "" if seconds is None else f"--fit-seconds {seconds}"
-    return f"--options {shlex.quote(json.dumps(ENTRIES[wildcards.label].options))} {limit}"
+    return (
+        f"--options {shlex.quote(json.dumps(ENTRIES[wildcards.label].options))} {limit}"
+    )
 
 
 def evidence(wildcards):
