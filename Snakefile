@@ -1,7 +1,9 @@
 # Geo-EVS: the whole protocol as one DAG. `snakemake --cores 2 tables` makes every table.
+from geoevs.config import check_syntax
 from snakemake.utils import min_version
 
 min_version("9.27")
+check_syntax("config.yaml")
 
 
 configfile: "config.yaml"

@@ -12,6 +12,7 @@ import pandas as pd
 import yaml
 
 from geoevs.adapter import find_methods
+from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.protocol.entries import REFERENCE
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
@@ -100,23 +101,36 @@ def make_table(
         `<metric>_high` for every metric, `n`, `failed`, `below_floor` and `note`.
 
     Raises:
-        GeoEvsError: the rows come from different protocols.
+        GeoEvsError: there is no such table, or the rows come from different protocols.
     """
+    spec = table_spec(name)
     check_fingerprints(scores)
-    spec = TABLES[name]
     rows = _table_rows(spec, scores, protocol)
     by = ["dataset", "method", "variant", "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
     bins = bin_labels(protocol[spec.edges]) if spec.bins else [""]
+    ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             _table_row(name, spec, summary, dataset, method, variant, label)
+            | ({} if (dataset, method, variant) in ran else {"note": "not run"})
             for dataset in scores["dataset"].unique()
             for method, variant in _entrants(name, scores)
             for label in bins
         ]
     )
     return table if spec.bins else table.drop(columns="bin")
+
+
+def table_spec(name: str) -> TableSpec:
+    """The table called `name`.
+
+    Raises:
+        GeoEvsError: there is none; the sentence names the nearest one.
+    """
+    if name not in TABLES:
+        raise GeoEvsError(f"there is no table '{name}'; {did_you_mean(name, TABLES)}")
+    return TABLES[name]
 
 
 def bin_labels(edges: Sequence[float]) -> list[str]:
@@ -185,7 +199,8 @@ def _table_row(
 ) -> dict[str, Any]:
     here = summary[(summary["dataset"] == dataset) & (summary["bin"] == label)]
     mine = here[(here["method"] == method) & (here["variant"] == variant)].set_index("metric")
-    floor = here[here["method"] == FLOOR].set_index("metric")["mean"]
+    is_floor = (here["method"] == FLOOR) & (here["variant"] == "default")
+    floor = here[is_floor].set_index("metric")["mean"]
     printed = _paper()["tables"][name].get(method, {}) if variant == "default" else {}
     printed = printed.get(label, {}) if spec.bins else printed
     row: dict[str, Any] = {
@@ -205,7 +220,7 @@ def _table_row(
     row["n"] = int(first["n"].fillna(0).iloc[0])
     row["failed"] = int(first["failed"].fillna(0).iloc[0])
     row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
-    row["note"] = _note(method in set(summary["method"]), row)
+    row["note"] = _note(row)
     return row
 
 
@@ -223,9 +238,7 @@ def _worse(means: pd.Series, floor: pd.Series) -> list[str]:
     ]
 
 
-def _note(ran: bool, row: dict[str, Any]) -> str:
-    if not ran:
-        return "not run"
+def _note(row: dict[str, Any]) -> str:
     if row["failed"]:
         return f"failed on {row['failed']} of {row['failed'] + row['n']} views"
     return "" if row["n"] else "no view here"

@@ -1,5 +1,6 @@
 # The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
 import json
+import shlex
 from pathlib import Path
 
 from geoevs import layout
@@ -65,8 +66,8 @@ def scene_arguments(wildcards):
     """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
     dataset = config["datasets"][wildcards.dataset]
     return (
-        f"--source {dataset['source']} --name '{wildcards.scene}' --height {HEIGHT} "
-        f"--width {WIDTH} --options '{json.dumps(dataset['options'])}'"
+        f"--source {dataset['source']} --name {wildcards.scene} --height {HEIGHT} "
+        f"--width {WIDTH} --options {shlex.quote(json.dumps(dataset['options']))}"
     )
 
 
@@ -99,7 +100,9 @@ def budget_arguments(wildcards):
     """The budget of a fit, and the options it is made with."""
     seconds = config["budget"]["fit_seconds"]
     limit = "" if seconds is None else f"--fit-seconds {seconds}"
-    return f"--options '{json.dumps(ENTRIES[wildcards.label].options)}' {limit}"
+    return (
+        f"--options {shlex.quote(json.dumps(ENTRIES[wildcards.label].options))} {limit}"
+    )
 
 
 def evidence(wildcards):

@@ -30,7 +30,7 @@ rule cost_table:
     log:
         in_run("logs/cost_table.log"),
     params:
-        stem=in_run(layout.COST_TABLE),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
         code=code_hash("geoevs.results.costs"),
     shell:
         "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
