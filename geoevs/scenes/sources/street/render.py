@@ -40,7 +40,7 @@ class Lattice:
         ends = [np.append(self._first[i][1:], count[i]) for i in (0, 1)]
         self.rays = np.outer(ends[1] - self._first[1], ends[0] - self._first[0])[..., None]
         centre = camera.K[:2, 2] / step - shift + 0.5
-        self._sensor = _make_sensor(camera, focal.max(), count, centre / count - 0.5)
+        self._sensor = _make_sensor(camera, focal.max(), count, 0.5 - centre / count)
 
     def see(self, scene: Any, what: str) -> np.ndarray:
         """(h, w, 3) what each ray of the lattice brings back; `what` is one of INTEGRATORS."""
@@ -58,6 +58,7 @@ class Lattice:
 
 
 def _make_sensor(camera: Camera, focal: float, count: np.ndarray, offset: np.ndarray) -> Any:
+    """`offset` is where the middle of the film lies from the principal point, in film widths."""
     mi = mitsuba()
     opencv = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's x is left, its y is up
     return mi.load_dict(
@@ -175,8 +176,8 @@ def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
 
 
 def openness(points: np.ndarray, actors: list[Actor], time: float) -> np.ndarray:
-    """(...) share of the sky that cars and pedestrians leave to (..., 3) points on the ground."""
-    share = np.ones(points.shape[:-1])
+    """(...) share of the sky that reaches (..., 3) points past houses, cars and pedestrians."""
+    share = 1 - 0.25 * np.exp(-np.maximum(points[..., 2], 0) / 3.0)  # streets are darker below
     ground = points[..., 2] < 0.25
     below = points[ground]
     left = np.ones(len(below))
@@ -190,6 +191,6 @@ def openness(points: np.ndarray, actors: list[Actor], time: float) -> np.ndarray
         outside = np.hypot(np.maximum(along, 0), np.maximum(aside, 0))
         inside = np.minimum(np.maximum(along, aside), 0)
         reach = 0.3 * actor.size[2]
-        left[near] *= 1 - 0.75 * np.exp(-outside / reach) * (1 - 0.25 * np.exp(2 * inside))
-    share[ground] = left
+        left[near] *= 1 - 0.85 * np.exp(-outside / reach) * (1 - 0.25 * np.exp(2 * inside))
+    share[ground] *= left
     return share
