@@ -137,29 +137,35 @@ def render_image(
         samples: rays a pixel.
         rng: where in the pixels the rays go.
     """
-    mirrored, shaded = -(-samples // 4), -(-samples // 6)  # dimmer or smoother: fewer rays
-    lit = _average(scenes.lit, camera, "lit", lattice_shifts(samples, rng))
-    glow = _average(scenes.lit, camera, "glow", lattice_shifts(shaded, rng))
+    lit, glow_share = _lit(scenes.lit, camera, lattice_shifts(samples, rng))
     middle = Lattice(camera, np.array([0.5, 0.5]))
     distance = middle.per_pixel(middle.see(scenes.lit, "distance")) / middle.rays
     distance = distance[..., :1]
 
     rays = pixel_rays(camera)
     points = camera.centre + distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    radiance = lit - glow * (1 - openness(points, actors, time))[..., None]
+    radiance = lit * (1 - glow_share * (1 - openness(points, actors, time))[..., None])
+    mirrored = -(-samples // 4)  # reflections are dim, so fewer rays do
     radiance += _reflections(scenes.mirror, camera, lattice_shifts(mirrored, rng))
     haze = 1 - np.exp(-distance / light.haze_distance)
     return light.develop(radiance + (light.horizon - radiance) * haze)
 
 
-def _average(scene: Any, camera: Camera, what: str, shifts: np.ndarray) -> np.ndarray:
-    """(H, W, 3) mean of what rays at all the (N, 2) shifts bring back."""
-    total, rays = 0.0, 0.0
-    for shift in shifts:
+def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) radiance under sun and ambient light, and the share that is ambient light.
+
+    The share varies little, so every sixth lattice decides it; comparing the same rays makes it
+    exactly 1 in the shade.
+    """
+    total, rays, glow, whole = 0.0, 0.0, 0.0, 0.0
+    for number, shift in enumerate(shifts):
         lattice = Lattice(camera, shift)
-        total = total + lattice.per_pixel(lattice.see(scene, what))
-        rays = rays + lattice.rays
-    return total / rays
+        seen = lattice.per_pixel(lattice.see(scene, "lit"))
+        total, rays = total + seen, rays + lattice.rays
+        if number % 6 == 0:
+            glow = glow + lattice.per_pixel(lattice.see(scene, "glow"))
+            whole = whole + seen
+    return total / rays, glow / np.maximum(whole, 1e-9)
 
 
 def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
