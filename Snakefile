@@ -1,10 +1,16 @@
 # Geo-EVS: the whole protocol as one DAG. `snakemake --cores 2 tables` makes every table.
+from geoevs.config import check_syntax
 from snakemake.utils import min_version
 
 min_version("9.27")
+check_syntax("config.yaml")
 
 
 configfile: "config.yaml"
+
+
+# The base of `snakemake --sdm apptainer`; constraints.txt pins what is installed on it.
+container: "docker://python:3.11"
 
 
 include: "workflow/rules/common.smk"
@@ -15,11 +21,16 @@ include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
 
 
-container: None
-
-
 rule all:
+    default_target: True
     input:
         rules.tables.input,
         rules.breakdowns.input,
-    default_target: True
+
+
+onsuccess:
+    shell(f"geoevs failures {RUN}/{layout.COSTS}")
+
+
+onerror:
+    shell(f"geoevs failures {RUN}/{layout.COSTS}")

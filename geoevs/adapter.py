@@ -207,7 +207,7 @@ def method_class(name: str) -> type[Adapter]:
     Raises:
         GeoEvsError: there is none; the sentence names the nearest one.
     """
-    return load_plugin("method", name, find_methods()).Method
+    return load_plugin("method", name, find_methods(), "Method")
 
 
 def make_method(name: str, options: dict) -> Adapter:

@@ -31,7 +31,9 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
             not exist; two partitions share a frame.
     """
     validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text()))
-    mistakes = sorted(validator.iter_errors(config), key=lambda mistake: list(mistake.path))
+    mistakes = sorted(
+        validator.iter_errors(config), key=lambda mistake: [str(part) for part in mistake.path]
+    )
     if mistakes:
         key, problem = _explain(mistakes[0])
         raise GeoEvsError(f"{_locate(key, files)}: {problem}")
@@ -40,7 +42,30 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     for name in ("pose_bins", "support_bins"):
         edges = config["protocol"][name]
         if any(low >= high for low, high in itertools.pairwise(edges)):
-            raise GeoEvsError(f"{_locate(('protocol', name), files)}: edges must rise")
+            where = _locate(("protocol", name), files)
+            raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
+
+
+def check_syntax(path: str | Path) -> None:
+    """Check that a config file, where there is one, is YAML; Snakemake would not say what is not.
+
+    Raises:
+        GeoEvsError: it is not; the sentence names the line.
+    """
+    path = Path(path)
+    if not path.exists():
+        return
+    try:
+        yaml.compose(path.read_text())
+    except yaml.MarkedYAMLError as mistake:
+        line = mistake.problem_mark.line + 1
+        raise GeoEvsError(
+            f"{path}:{line}: this is not YAML ({mistake.problem}); check brackets, quotes and "
+            "indentation above it"
+        ) from None
+    except (ValueError, yaml.YAMLError) as error:  # of its characters
+        reason = " ".join(str(error).split())
+        raise GeoEvsError(f"{path} is not plain UTF-8 text ({reason}); save it as such") from None
 
 
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
@@ -58,19 +83,23 @@ def _explain(mistake: ValidationError) -> tuple[Key, str]:
     key: Key = tuple(mistake.absolute_path)
     if mistake.validator == "additionalProperties":
         allowed = mistake.schema.get("properties", {})
-        unknown = next(name for name in mistake.instance if name not in allowed)
+        unknown = str(next(name for name in mistake.instance if name not in allowed))
         return (*key, unknown), f"'{unknown}' is not a known key; {did_you_mean(unknown, allowed)}"
     if mistake.validator == "required":
         missing = next(name for name in mistake.validator_value if name not in mistake.instance)
-        return key, f"the key '{missing}' is missing under '{_dotted(key)}'; add it"
-    if mistake.validator == "pattern" and mistake.instance not in (None, *key[-1:]):
+        where = f"under '{_dotted(key)}'" if key else "at the top level"
+        return key, f"the key '{missing}' is missing {where}; add it"
+    if mistake.validator == "pattern":
+        if "propertyNames" in mistake.absolute_schema_path:
+            key = (*key, mistake.instance)
         return key, f"'{mistake.instance}' is not an allowed name; use lower case and hyphens"
-    purpose = mistake.schema.get("description", "")
-    return key, f"'{_dotted(key)}' is wrong: {mistake.message}. {purpose}".rstrip()
+    purpose = mistake.schema.get("description", "").removesuffix(".")
+    meaning = f" (it means: {purpose})" if purpose else ""
+    return key, f"'{_dotted(key)}' is wrong: {mistake.message}{meaning}"
 
 
 def _dotted(key: Key) -> str:
-    return ".".join(map(str, key)) or "the top level"
+    return ".".join(map(str, key))
 
 
 def _locate(key: Key, files: Sequence[Path]) -> str:
@@ -138,6 +167,7 @@ def _check_partitions(dataset: str, partitions: Mapping[str, list[str]]) -> None
 
 def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     methods = [REFERENCE, *find_methods()]
+    labels = set()
     for entry in method_entries(config):
         name = entry.method if entry.variant == "default" else f"{entry.method}.{entry.variant}"
         with _located(("methods", name), files):
@@ -145,5 +175,20 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 raise GeoEvsError(
                     f"there is no method '{entry.method}'; {did_you_mean(entry.method, methods)}"
                 )
+            if entry.method == REFERENCE and entry.options:
+                raise GeoEvsError(f"the control '{REFERENCE}' has no options; remove them")
             if entry.options:
-                check_options(f"method '{name}'", method_class(entry.method), entry.options)
+                check_options(f"method '{name}'", _imported(entry.method), entry.options)
+            if entry.label in labels:
+                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
+            labels.add(entry.label)
+
+
+def _imported(method: str) -> type:
+    try:
+        return method_class(method)
+    except ImportError as error:
+        raise GeoEvsError(
+            f"method '{method}' cannot be imported ({error}); install what it lacks, or set it to "
+            "null to leave it out"
+        ) from error

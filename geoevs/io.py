@@ -1,11 +1,11 @@
-"""Files that are written whole or not at all, and images that are read whole or refused."""
+"""Files that are written whole or not at all, and read whole or refused."""
 
 import io
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,7 @@ def read_json(path: Path) -> Any:
 def new_folder(path: Path) -> Iterator[Path]:
     """A temporary folder that becomes `path` when the block ends well, and vanishes when it fails.
 
-    An existing folder at `path` is replaced only then.
+    An existing folder at `path` is replaced only then, and stays whole until then.
 
     Raises:
         GeoEvsError: the disk is full or the place is read-only.
@@ -88,15 +88,63 @@ def new_folder(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
     try:
+        yield temporary
         with _explain_write_failure(path):
-            yield temporary
             temporary.chmod(0o755)
-            if path.exists():
-                shutil.rmtree(path)
-            os.replace(temporary, path)
+            _replace_folder(temporary, path)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
+
+
+def _replace_folder(new: Path, path: Path) -> None:
+    """Move `new` to `path`; a folder there is deleted afterwards, and put back if that fails."""
+    if not path.is_dir():
+        os.replace(new, path)
+        return
+    old = new.with_name(f"{new.name}.old")
+    os.replace(path, old)
+    try:
+        os.replace(new, path)
+    except BaseException:
+        os.replace(old, path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[None]:
+    """Name `path` in whatever goes wrong while the block decodes it.
+
+    Broken archives and tables raise anything, so every exception counts.
+
+    Raises:
+        GeoEvsError: the file is missing or damaged.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise GeoEvsError(f"{path} is missing; make or copy it there") from error
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise GeoEvsError(f"{path} is not whole ({reason}); delete it and make it again") from error
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as a compressed .npz, whole or not at all (see `write_bytes`)."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(path, buffer.getvalue())
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read what `write_arrays` wrote.
+
+    Raises:
+        GeoEvsError: the file is missing or damaged.
+    """
+    with whole_file(path), np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def read_image(path: Path) -> np.ndarray:

@@ -4,7 +4,6 @@ import importlib
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 from geoevs.errors import GeoEvsError, did_you_mean
 
@@ -24,15 +23,19 @@ def find_plugins(file: str, *packages: str) -> dict[str, str]:
     return found
 
 
-def load_plugin(kind: str, name: str, plugins: dict[str, str]) -> ModuleType:
-    """Import the plugin called `name`.
+def load_plugin(kind: str, name: str, plugins: dict[str, str], attribute: str) -> type:
+    """Import the plugin called `name`, and take its class, which is called `attribute`.
 
     Raises:
-        GeoEvsError: there is none of that name; the sentence names the nearest one.
+        GeoEvsError: there is none of that name (the sentence names the nearest one), or it lacks
+            the class.
     """
     if name not in plugins:
         raise GeoEvsError(f"there is no {kind} called '{name}'; {did_you_mean(name, plugins)}")
-    return importlib.import_module(plugins[name])
+    module = importlib.import_module(plugins[name])
+    if not hasattr(module, attribute):
+        raise GeoEvsError(f"{module.__file__} has no class {attribute}; name its class so")
+    return getattr(module, attribute)
 
 
 def check_options(who: str, factory: Callable, options: dict, positional: int = 0) -> None:

@@ -36,8 +36,11 @@ VISIBILITIES = ("pixel", "footprint")
 # A sparse z-buffer lets background leak between foreground points. At the paper's support ratios
 # (0.02 to 0.1) points lie 3 to 7 pixels apart, so a 5 x 5 window around a leak holds foreground.
 FOOTPRINT_RADIUS = 2
-# Along the road depth falls by about depth / (focal x height) a pixel, which reaches a tenth over
-# the window at 20-40 m; objects before their background are nearer by more than a fifth.
+# A wider tolerance lets leaks stay; a narrower one takes far road, whose depth rises by about
+# depth / (focal x height) a pixel: over this window it keeps road up to 35 m at 128 x 192.
+# Measured on PandaSet 002, one LiDAR at supports of 0.03 to 0.08, nine poses up to 22.5 degrees and
+# 1 m aside: drops 28 to 39 % of the leaks (the same pixel of twelve sweeps together is nearer by
+# 15 %) and 3 to 6 % of the other points; at 0.1 instead, 36 to 51 % and 6 to 10 %.
 FOOTPRINT_TOLERANCE = 0.2
 
 
@@ -125,11 +128,11 @@ def unproject_depth(
     usable = (flat > 0) & (flat < np.inf)
     pixels = usable.nonzero()[:, 0] if tensor else np.flatnonzero(usable)
     z = flat[pixels]
-    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     row = (pixels // camera.width).double() if tensor else pixels // camera.width
     column = (pixels % camera.width).double() if tensor else pixels % camera.width
     y = (row + 0.5 - cy) / fy
-    x = (column + 0.5 - cx - skew * y) / fx
+    x = (column + 0.5 - cx) / fx
     columns = [
         axis[0] * (x * z) + axis[1] * (y * z) + axis[2] * z + axis[3]
         for axis in camera.world_from_camera[:3].tolist()
@@ -338,7 +341,7 @@ def _sample_bilinear(
     """(N, 3) float64 in [0, 1]: pixel centres lie at +0.5, and the border is clamped."""
     scale = 255.0 if image.dtype == np.uint8 else 1.0
     last = np.array([image.shape[1] - 1, image.shape[0] - 1])
-    place = np.clip(uv - 0.5, 0, last)
+    place = np.maximum(uv - 0.5, 0)
     left, top = low = place.astype(np.int64).T
     right, bottom = np.minimum(low + 1, last[:, None])
     across, down = (place - low.T).T[:, :, None]

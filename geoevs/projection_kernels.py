@@ -15,9 +15,9 @@ BLOCK = 1024
 
 
 def lens_of(camera: Camera) -> tuple[float, ...]:
-    """A camera as 19 numbers: camera_from_world by rows, fx, skew, cx, fy, cy, width, height."""
+    """A camera as 18 numbers: camera_from_world by rows, fx, cx, fy, cy, width, height."""
     K = camera.K
-    intrinsics = (K[0, 0], K[0, 1], K[0, 2], K[1, 1], K[1, 2], camera.width, camera.height)
+    intrinsics = (K[0, 0], K[0, 2], K[1, 1], K[1, 2], camera.width, camera.height)
     return tuple(map(float, (*camera.camera_from_world[:3].ravel(), *intrinsics)))
 
 
@@ -26,8 +26,8 @@ def project_columns(px, py, pz, lens):
     x = lens[0] * px + lens[1] * py + lens[2] * pz + lens[3]
     y = lens[4] * px + lens[5] * py + lens[6] * pz + lens[7]
     z = lens[8] * px + lens[9] * py + lens[10] * pz + lens[11]
-    u = (lens[12] * x + lens[13] * y) / z + lens[14]
-    v = lens[15] * y / z + lens[16]
+    u = lens[12] * x / z + lens[13]
+    v = lens[14] * y / z + lens[15]
     return u, v, z
 
 
@@ -61,7 +61,7 @@ def _split_columns(points, xs, ys, zs):
 @numba.njit(error_model="numpy")
 def _find_pixels(xs, ys, zs, lens, pixel, depth):
     """The flat pixel and depth of each point; H * W and infinity for those outside the view."""
-    width, height = lens[17], lens[18]
+    width, height = lens[16], lens[17]
     for i in range(len(xs)):
         u, v, z = _project(xs[i], ys[i], zs[i], lens)
         inside = (z > 0.0) & (z < np.inf) & (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
@@ -74,7 +74,7 @@ def _find_pixels(xs, ys, zs, lens, pixel, depth):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def zbuffer_numba(points, lens):
     """(index [H, W] or -1, depth [H, W] or 0) of the front-most points."""
-    shape = int(lens[18]), int(lens[17])
+    shape = int(lens[17]), int(lens[16])
     pixels = shape[0] * shape[1]
     # The last entry stands for "outside": nothing is nearer than infinity, so it is never written.
     index = np.full(pixels + 1, -1, np.int64)
@@ -108,7 +108,7 @@ def zbuffer_torch(points, lens):
     """`zbuffer_numba` in torch ops, on the points' device; a minimum has no order to depend on."""
     import torch
 
-    width, height = lens[17], lens[18]
+    width, height = lens[16], lens[17]
     pixels = int(width) * int(height)
     u, v, z = project_columns(*points.double().unbind(1), lens)
     valid = (z > 0) & (z < torch.inf) & (u >= 0) & (u < width) & (v >= 0) & (v < height)

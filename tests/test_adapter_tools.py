@@ -10,6 +10,7 @@ from geoevs.adapter import find_methods
 from geoevs.adapter_check import CHECKS, check_adapter, contract_failures
 from geoevs.adapter_template import new_adapter
 from geoevs.cli import adapters
+from geoevs.cli.arguments import parse_json
 from geoevs.errors import GeoEvsError
 from geoevs.io import write_image
 from geoevs.scenes.tiny import HEIGHT, WIDTH
@@ -225,7 +226,7 @@ def test_the_check_command_fails_with_a_sentence(adapter, run):
 
 
 def test_options_are_json():
-    assert adapters.parse_options('{"inpaint": "telea"}') == {"inpaint": "telea"}
+    assert parse_json("--options", '{"inpaint": "telea"}') == {"inpaint": "telea"}
     for text in ("inpaint=telea", "[1]"):
         with pytest.raises(GeoEvsError, match="--options"):
-            adapters.parse_options(text)
+            parse_json("--options", text)

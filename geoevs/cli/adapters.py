@@ -1,6 +1,5 @@
 """The commands for people who add a method: `new-adapter` and `check-adapter`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,7 @@ import baselines
 from geoevs.adapter_check import Check
 from geoevs.adapter_check import check_adapter as run_checks
 from geoevs.adapter_template import new_adapter as write_adapter
-from geoevs.errors import GeoEvsError
+from geoevs.cli.arguments import parse_json
 
 MARKS = {
     "passed": "[green]✓[/]",
@@ -49,7 +48,7 @@ def check_adapter(
     traceback: Annotated[bool, typer.Option(help="print the method's own tracebacks")] = False,
 ) -> None:
     """Check on a tiny scene that a method keeps the contract; exit code 1 if it does not."""
-    checks = run_checks(name, parse_options(options))
+    checks = run_checks(name, parse_json("--options", options))
     console = Console()
     for check in checks:
         _print_check(console, check, traceback)
@@ -58,21 +57,6 @@ def check_adapter(
         console.print("[dim]--traceback prints where it was raised[/]")
     if failed:
         raise typer.Exit(1)
-
-
-def parse_options(text: str) -> dict:
-    """A method's options from JSON.
-
-    Raises:
-        GeoEvsError: the text is not a JSON object.
-    """
-    try:
-        options = json.loads(text)
-    except ValueError as error:
-        raise GeoEvsError(f"--options is not JSON ({error}); write --options '{{...}}'") from error
-    if not isinstance(options, dict):
-        raise GeoEvsError(f"--options is {text}; write a JSON object, such as '{{\"steps\": 100}}'")
-    return options
 
 
 def _print_check(console: Console, check: Check, traceback: bool) -> None:

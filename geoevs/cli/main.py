@@ -29,9 +29,9 @@ def options(
 ) -> None:
     """Options that come before the command."""
     global _log
-    _log = log
     if log is not None:
         write_text(log, "")
+    _log = log
 
 
 def main() -> None:
@@ -47,7 +47,8 @@ def main() -> None:
             where = (
                 f"see {_log}" if _log else "repeat it as `geoevs --log FILE ...` for the traceback"
             )
-            message = f"internal error: {type(error).__name__}: {error} ({where})"
+            reason = " ".join(str(error).split())
+            message = f"internal error: {type(error).__name__}: {reason} ({where})"
         if _log is not None:
             write_text(_log, f"{message}\n\n{traceback.format_exc()}")
         print(message, file=sys.stderr)

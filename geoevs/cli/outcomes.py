@@ -1,11 +1,16 @@
 """From score rows to what people read: tables, pictures, the manifest, the failures."""
 
-import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from geoevs.cli.arguments import parse_json
+from geoevs.errors import GeoEvsError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
@@ -14,7 +19,7 @@ Config = Annotated[str, typer.Option(help="A section of the config, as JSON.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (collect, table, grid, manifest, failures):
+    for command in (collect, table, cost_table, grid, manifest, failures):
         app.command()(command)
 
 
@@ -27,7 +32,7 @@ def collect(
 
     from geoevs.io import write_bytes
 
-    rows = pd.concat([pd.read_parquet(part) for part in parts], ignore_index=True)
+    rows = pd.concat([_rows(part) for part in parts], ignore_index=True)
     write_bytes(out, rows.to_parquet(index=False))
 
 
@@ -39,16 +44,29 @@ def table(
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
-    import pandas as pd
-
     from geoevs.io import write_text
     from geoevs.results.formats import to_latex, to_markdown
-    from geoevs.results.tables import TABLES, make_table
+    from geoevs.results.tables import make_table, table_spec
 
-    made = make_table(name, pd.read_parquet(scores), json.loads(protocol), json.loads(settings))
+    spec = table_spec(name)
+    bins, bootstrap = parse_json("--protocol", protocol), parse_json("--settings", settings)
+    made = make_table(name, _rows(scores), bins, bootstrap)
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), to_markdown(TABLES[name], made))
-    write_text(out.with_suffix(".tex"), to_latex(TABLES[name], made))
+    write_text(out.with_suffix(".md"), to_markdown(spec, made))
+    write_text(out.with_suffix(".tex"), to_latex(spec, made))
+
+
+def cost_table(
+    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Make the table of times, memory and sizes as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.costs import cost_markdown, make_cost_table
+
+    made = make_cost_table(_rows(costs))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), cost_markdown(made))
 
 
 def grid(
@@ -63,8 +81,12 @@ def grid(
     from geoevs.io import write_bytes
     from geoevs.results.figures import table_grid
 
-    pairs = [tuple(scene.split("/")) for scene in scenes]
-    write_bytes(out, table_grid(name, run, pairs, labels, json.loads(keeps)))
+    pairs = [scene.split("/", 1) for scene in scenes]
+    for scene, pair in zip(scenes, pairs, strict=True):
+        if len(pair) != 2:
+            raise GeoEvsError(f"--scenes {scene} is not of the form DATASET/SCENE; name both")
+    shares = parse_json("--keeps", keeps, list)
+    write_bytes(out, table_grid(name, run, pairs, labels, shares))
 
 
 def manifest(
@@ -76,19 +98,29 @@ def manifest(
     from geoevs.io import write_json
     from geoevs.results.manifest import make_manifest
 
-    write_json(out, make_manifest(json.loads(config), inputs))
+    write_json(out, make_manifest(parse_json("--config", config), inputs))
 
 
 def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")]) -> None:
     """Say in one line each which methods failed, why, and where their logs are."""
-    import pandas as pd
-
     from geoevs.protocol.entries import FAILED
 
-    rows = pd.read_parquet(costs)
+    if not costs.exists():  # the run has not come that far
+        return
+    rows = _rows(costs)
     for row in rows[rows["status"] == FAILED].itertuples():
         print(
             f"FAILED: {row.method} ({row.variant}) could not {row.stage} {row.scene} from "
             f"{row.sources}: {row.reason}; log: {row.log}",
             file=sys.stderr,
         )
+
+
+def _rows(path: Path) -> "pd.DataFrame":
+    """The rows of a Parquet file, or a sentence that names it."""
+    import pandas as pd
+
+    from geoevs.io import whole_file
+
+    with whole_file(path):
+        return pd.read_parquet(path)

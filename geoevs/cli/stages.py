@@ -1,12 +1,12 @@
 """The stages of the protocol as commands; the workflow's rules call these."""
 
 import dataclasses
-import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from geoevs.cli.arguments import parse_json
 from geoevs.cli.progress import counted, progress_bar
 
 Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
@@ -19,7 +19,7 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (scene, targets, truth, references, fit, render, score):
+    for command in (scene, targets, truth, references, fit, render, score, export):
         app.command()(command)
 
 
@@ -40,7 +40,8 @@ def scene(
         points = colour_points(frame.points, frame.cameras, frame.images)
         return dataclasses.replace(frame, points=points)
 
-    record = load_source(source, height, width, _object(options)).open(SceneRef.parse(name))
+    made = load_source(source, height, width, parse_json("--options", options))
+    record = made.open(SceneRef.parse(name))
     with progress_bar(f"scene {name}", record.frame_count) as advance:
         frames = (coloured(frame) for frame in counted(record.frames, advance))
         write_scene(out, record.info, record.tracks, frames)
@@ -55,7 +56,7 @@ def targets(
     from geoevs.protocol.targets import make_targets, write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), _object(protocol)))
+    write_targets(out, make_targets(Scene(scene), parse_json("--protocol", protocol)))
 
 
 def truth(
@@ -74,7 +75,7 @@ def truth(
 
     wanted = read_targets(targets)
     virtual = sum(not target.recorded for target in wanted)
-    made = load_source(source, height, width, _object(options))
+    made = load_source(source, height, width, parse_json("--options", options))
     with progress_bar(f"truth {name}", virtual) as advance:
         write_truth(out, made, SceneRef.parse(name), wanted, advance)
 
@@ -113,7 +114,7 @@ def fit(
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import fit_method
 
-    entry = MethodEntry(method, variant, _object(options), seed)
+    entry = MethodEntry(method, variant, parse_json("--options", options), seed)
     fit_method(entry, scene, targets, Budget(fit_seconds, threads), out, method_log)
 
 
@@ -158,7 +159,7 @@ def score(
     from geoevs.protocol.scoring import Evidence, cost_rows, score_method
     from geoevs.scenes.store import Scene
 
-    settings = _object(protocol)
+    settings = parse_json("--protocol", protocol)
     entry = MethodEntry(method, variant, {}, seed)
     place = {"dataset": dataset, "scene": scene_name}
     common = {**place, "fingerprint": protocol_fingerprint(Scene(scene), settings)}
@@ -170,8 +171,26 @@ def score(
     )
 
 
-def _object(text: str) -> dict[str, Any]:
-    value = json.loads(text)
-    if not isinstance(value, dict):
-        raise typer.BadParameter(f"{text} is not a JSON object such as '{{\"frames\": 8}}'")
-    return value
+def export(
+    scene: SceneFolder,
+    targets: TargetFile,
+    out: Out,
+    sources: Annotated[
+        str, typer.Option(help="all-cameras, or front-side for interpolation.")
+    ] = "all-cameras",
+) -> None:
+    """Write what a method may see as a scene folder, and the cameras to render as cameras.json.
+
+    For methods in another environment or language: they leave <camera>/<frame>.png, six digits a
+    frame, which the control `external` scores.
+    """
+    from geoevs.adapter import NEEDS, Views
+    from geoevs.io import new_folder
+    from geoevs.protocol.targets import read_targets, source_cameras, write_targets
+    from geoevs.scenes.store import Scene
+
+    store = Scene(scene)
+    wanted = [target for target in read_targets(targets) if target.sources == sources]
+    with new_folder(out) as partial:
+        Views(store, source_cameras(store, sources), NEEDS).save(partial / "scene")
+        write_targets(partial / "cameras.json", wanted)

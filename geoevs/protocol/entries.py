@@ -1,12 +1,19 @@
 """The entrants of a run, and how one of their steps can end."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_json
 
 REFERENCE = "reference"
 """The control that copies the reference. No adapter can see it, so it is none (see oracle)."""
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
+
+OUTCOME = {"status", "stage", "reason", "log", "peak_memory", "gpu_memory"}
+"""What `fit.json` and `render.json` say of every set of sources, besides costs."""
 
 
 @dataclass(frozen=True)
@@ -33,3 +40,20 @@ class MethodEntry:
         """An entry from its name in the config, `METHOD` or `METHOD.VARIANT`."""
         method, _, variant = name.partition(".")
         return cls(method, variant or "default", options, seed)
+
+
+def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:
+    """The outcome of every set of sources, from `fit.json` or `render.json`.
+
+    Raises:
+        GeoEvsError: the file is missing or of another shape.
+    """
+    outcomes = read_json(path)
+    described = isinstance(outcomes, dict) and all(
+        isinstance(outcome, dict) and outcome.keys() >= OUTCOME for outcome in outcomes.values()
+    )
+    if not described:
+        raise GeoEvsError(
+            f"{path} does not say how each set of sources ended; delete its folder and rerun"
+        )
+    return outcomes

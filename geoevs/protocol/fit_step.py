@@ -45,8 +45,8 @@ def fit_step(
     size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
     return {
         "fit_seconds": seconds,
-        "primitives": report.primitives,
-        "parameters": report.parameters,
+        "primitives": int(report.primitives),  # often a NumPy sum, which JSON does not know
+        "parameters": int(report.parameters),
         "bytes": size,
         "note": report.note,
     }

@@ -74,6 +74,20 @@ def _death(code: int) -> str:
     return f"the process was killed by {name}{hint}"
 
 
+def _peak_memory() -> int:
+    """Peak resident bytes of this process.
+
+    `getrusage` would count the parent's too, whose memory a child shares until it is replaced.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
 def _peak_gpu_memory() -> int:
     torch = sys.modules.get("torch")
     if torch is None or not torch.cuda.is_available():
@@ -85,19 +99,17 @@ def _child(function: str, answer: str) -> None:
     arguments = json.load(sys.stdin)
     module, name = function.split(":")
     try:
-        result = getattr(importlib.import_module(module), name)(**arguments)
+        reply = {
+            "result": getattr(importlib.import_module(module), name)(**arguments),
+            "peak_memory": _peak_memory(),
+            "gpu_memory": _peak_gpu_memory(),
+        }
+        write_json(Path(answer), reply)
     except Exception as error:
         traceback.print_exc()
         kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
         message = " ".join(str(error).split()) or "no message"
         write_json(Path(answer), {"failure": kind + message})
-        return
-    reply = {
-        "result": result,
-        "peak_memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
-        "gpu_memory": _peak_gpu_memory(),
-    }
-    write_json(Path(answer), reply)
 
 
 if __name__ == "__main__":

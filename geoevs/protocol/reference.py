@@ -1,16 +1,13 @@
 """The LiDAR-projected sparse reference of a target, and the masks that score it (section 3.5)."""
 
-import io
-import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError
 from geoevs.geometry.lift import lidar_depths, lift_frame
-from geoevs.io import write_bytes
+from geoevs.io import whole_file, write_arrays
 from geoevs.projection import zbuffer
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.scenes.scene import PointCloud
@@ -110,9 +107,7 @@ def write_references(path: Path, references: dict[str, SparseReference]) -> None
     for key, reference in references.items():
         for name in (field.name for field in fields(SparseReference)):
             arrays[f"{key}/{name}"] = getattr(reference, name)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_bytes(path, buffer.getvalue())
+    write_arrays(path, arrays)
 
 
 class References:
@@ -124,20 +119,11 @@ class References:
 
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
-        try:
+        with whole_file(path):
             self._file = np.load(path, allow_pickle=False)
-        except FileNotFoundError as error:
-            raise GeoEvsError(f"{path} is missing; rerun the rule reference") from error
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise self._broken(error) from error
 
     def __getitem__(self, key: str) -> SparseReference:
         """The reference of the target with this key."""
-        try:
-            names = (field.name for field in fields(SparseReference))
+        names = (field.name for field in fields(SparseReference))
+        with whole_file(self._path):
             return SparseReference(**{name: self._file[f"{key}/{name}"] for name in names})
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise self._broken(error) from error
-
-    def _broken(self, error: Exception) -> GeoEvsError:
-        return GeoEvsError(f"{self._path} is not whole ({error}); delete it and rerun")

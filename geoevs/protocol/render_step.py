@@ -60,6 +60,10 @@ def _checked(rendering: Rendering, target: Target) -> np.ndarray:
     expected = (target.camera.height, target.camera.width, 3)
     if rgb.shape != expected:
         raise GeoEvsError(f"target {target.key} was rendered as {rgb.shape}, not {expected}")
+    if rgb.dtype != np.uint8 and not np.issubdtype(rgb.dtype, np.floating):
+        raise GeoEvsError(
+            f"target {target.key} was rendered as {rgb.dtype}; give uint8, or floats in [0, 1]"
+        )
     if not np.isfinite(rgb).all():
         raise GeoEvsError(f"target {target.key} was rendered with NaN or infinite pixels")
     return to_uint8(rgb)

@@ -99,5 +99,5 @@ def check_fingerprints(rows: pd.DataFrame) -> None:
         if len(found) > 1:
             raise GeoEvsError(
                 f"scores of dataset '{dataset}' come from different protocols "
-                f"({', '.join(sorted(found))}); rerun `snakemake score` so that they agree"
+                f"({', '.join(sorted(found))}); rerun `snakemake scores` so that they agree"
             )

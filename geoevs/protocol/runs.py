@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.adapter import Budget
-from geoevs.io import new_folder, read_json, write_json
-from geoevs.protocol.entries import FAILED, OK, REFERENCE, MethodEntry
+from geoevs.io import new_folder, write_json
+from geoevs.protocol.entries import FAILED, OK, REFERENCE, MethodEntry, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
 
@@ -52,7 +52,7 @@ def render_method(
 ) -> None:
     """Render all targets with a fitted method; a set of sources whose fit failed stays failed."""
     log.unlink(missing_ok=True)
-    fits = read_json(model / "fit.json")
+    fits = read_outcomes(model / "fit.json")
     with new_folder(folder) as partial:
         outcomes = {}
         for sources, fit in fits.items():

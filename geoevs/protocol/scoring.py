@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from geoevs.io import read_image, read_json, to_float
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry
+from geoevs.io import read_image, to_float
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.rows import COST_TYPES
@@ -83,7 +83,7 @@ def score_method(
     """
     scene = Scene(evidence.scene)
     references = References(evidence.references)
-    outcomes = read_json(renders / "render.json")
+    outcomes = read_outcomes(renders / "render.json")
     rows = []
     for target in read_targets(evidence.targets):
         outcome = outcomes[target.sources]
@@ -160,5 +160,5 @@ def cost_rows(
             "threads": threads,
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }
-        for sources, outcome in read_json(renders / "render.json").items()
+        for sources, outcome in read_outcomes(renders / "render.json").items()
     ]

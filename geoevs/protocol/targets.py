@@ -166,14 +166,19 @@ def read_targets(path: Path) -> list[Target]:
     Raises:
         GeoEvsError: the file is missing or not a target list.
     """
-    return [
-        Target(
-            entry["split"],
-            entry["frame"],
-            camera_from_json(entry, entry["name"]),
-            entry["sources"],
-            entry["pose_offset"],
-            entry["lateral_shift"],
-        )
-        for entry in read_json(path)
-    ]
+    try:
+        return [
+            Target(
+                entry["split"],
+                entry["frame"],
+                camera_from_json(entry, entry["name"], path),
+                entry["sources"],
+                entry["pose_offset"],
+                entry["lateral_shift"],
+            )
+            for entry in read_json(path)
+        ]
+    except (KeyError, TypeError) as error:
+        raise GeoEvsError(
+            f"{path} is no target list ({error}); delete it and make it again"
+        ) from error

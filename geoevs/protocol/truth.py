@@ -1,12 +1,11 @@
 """Dense truth of a target: a recorded image, or a rendered one that no method may see."""
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from geoevs.io import new_folder, read_image, to_float, write_bytes, write_image, write_json
+from geoevs.io import new_folder, read_image, to_float, write_arrays, write_image, write_json
 from geoevs.protocol.targets import Target
 from geoevs.scenes.scene import SceneRef, SceneSource
 from geoevs.scenes.store import Scene
@@ -36,9 +35,7 @@ def write_truth(
         rendered = source.truth(ref, views) if views else ()
         for target, truth in zip(virtual, rendered, strict=True):
             write_image(partial / f"{target.key}.png", truth.rgb)
-            buffer = io.BytesIO()
-            np.savez_compressed(buffer, depth=truth.depth)
-            write_bytes(partial / f"{target.key}.npz", buffer.getvalue())
+            write_arrays(partial / f"{target.key}.npz", {"depth": truth.depth})
             advance()
         write_json(partial / "truth.json", [target.key for target in virtual])
 

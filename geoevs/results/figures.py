@@ -12,7 +12,7 @@ from geoevs.io import encode_png, read_image, to_uint8
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
-from geoevs.results.tables import TABLES
+from geoevs.results.tables import table_spec
 from geoevs.scenes.store import Scene
 
 TILE_WIDTH = 256
@@ -46,6 +46,7 @@ def table_grid(
         labels: the entrants' labels, one column each.
         keeps: the shares of the reference, for the sparsity table's rows.
     """
+    split = table_spec(table).split
     rows = []
     for dataset, scene in scenes:
         where = {"dataset": dataset, "scene": scene}
@@ -53,7 +54,8 @@ def table_grid(
         references = References(run / layout.REFERENCES.format(**where))
         truth = run / layout.TRUTH.format(**where)
         targets = read_targets(run / layout.TARGETS.format(**where))
-        for target, keep in _pick(table, targets, keeps):
+        shown = [target for target in targets if target.split == split]
+        for target, keep in _pick(table, shown, keeps):
             dense = dense_truth(store, truth, target)
             evidence = [None if dense is None else to_uint8(dense)]
             if not target.recorded:
@@ -67,9 +69,12 @@ def table_grid(
             share = "" if table != "sparsity" else f", {keep:.0%} of reference"
             name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
             rows.append(Row(name, [*evidence, *renders]))
-    recorded = TABLES[table].split in ("observed", "interpolation")
+    recorded = split in ("observed", "interpolation")
     evidence_names = ["recorded"] if recorded else ["truth", "sparse reference", "validity"]
-    return encode_png(draw_grid([*evidence_names, *labels], rows))
+    columns = [*evidence_names, *labels]
+    shown = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
+    rows = [Row(row.label, [row.pictures[k] for k in shown]) for row in rows]
+    return encode_png(draw_grid([columns[k] for k in shown], rows))
 
 
 def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:
@@ -87,9 +92,12 @@ def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarra
 
 
 def draw_grid(columns: Sequence[str], rows: Sequence[Row]) -> np.ndarray:
-    """Lay pictures out under column headings, each row under its own label; (H, W, 3) uint8."""
-    first = next(picture for row in rows for picture in row.pictures if picture is not None)
-    height = round(TILE_WIDTH * first.shape[0] / first.shape[1])
+    """Lay pictures out under column headings, each row under its own label; (H, W, 3) uint8.
+
+    All take the shape of the first picture; without any, rows have their labels alone.
+    """
+    pictures = [picture for row in rows for picture in row.pictures if picture is not None]
+    height = round(TILE_WIDTH * pictures[0].shape[0] / pictures[0].shape[1]) if pictures else 0
     size = (
         len(columns) * (TILE_WIDTH + MARGIN) + MARGIN,
         HEADER + len(rows) * (height + HEADER) + MARGIN,
@@ -121,15 +129,15 @@ def _read_render(renders: Path, target: Target) -> np.ndarray | None:
 
 
 def _pick(table: str, targets: list[Target], keeps: list[float]) -> list[tuple[Target, float]]:
-    """A few telling targets of a scene, each with the share of its reference to show."""
-    candidates = [target for target in targets if target.split == TABLES[table].split]
-    frames = sorted({target.frame for target in candidates})
-    middle = [target for target in candidates if target.frame == frames[len(frames) // 2]]
+    """A few telling ones of a scene's targets, each with the share of its reference to show."""
+    frames = sorted({target.frame for target in targets})
+    middle = [target for target in targets if target.frame == frames[len(frames) // 2]]
     if table == "pose_offset":
         one_side = [target for target in middle if "left" in target.camera.name]
-        return [(target, keeps[0]) for target in one_side if target.lateral_shift > 0]
+        farthest = max((target.lateral_shift for target in one_side), default=0.0)
+        return [(target, keeps[0]) for target in one_side if target.lateral_shift == farthest]
     if table == "sparsity":
-        return [(middle[0], keep) for keep in keeps]
+        return [(target, keep) for target in middle[:1] for keep in keeps]
     if table == "interpolation":
-        return [(middle[0], keeps[0])]
+        return [(target, keeps[0]) for target in middle[:1]]
     return [(target, keeps[0]) for target in middle[:2]]

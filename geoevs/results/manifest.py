@@ -2,12 +2,16 @@
 
 import hashlib
 import importlib.metadata
+import json
 import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from geoevs.errors import GeoEvsError
 
 PACKAGES = (
     *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),
@@ -28,7 +32,7 @@ def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str
         "seed": config["seed"],
         "inputs": {str(path): hash_path(path) for path in inputs},
         "versions": {"python": platform.python_version()}
-        | {name: importlib.metadata.version(name) for name in PACKAGES},
+        | {name: _version(name) for name in PACKAGES},
         "machine": {
             "system": f"{platform.system()} {platform.machine()}",
             "processor": _processor(),
@@ -39,19 +43,34 @@ def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str
 
 
 def hash_path(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's files with their relative names."""
-    digest = hashlib.sha256()
+    """SHA-256 of a file, or of the list of a folder's files with their own.
+
+    Raises:
+        GeoEvsError: there is no such file or folder.
+    """
     path = Path(path)
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            digest.update(str(file.relative_to(path)).encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        listed = [[file.relative_to(path).as_posix(), hash_path(file)] for file in files]
+        return hashlib.sha256(json.dumps(listed).encode()).hexdigest()
+    if not path.is_file():
+        raise GeoEvsError(f"{path} is missing; make it before the manifest")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def _commit() -> str:
     """The commit of the code, marked where files differ from it."""
     repository = Path(__file__).parents[2]
+    if shutil.which("git") is None:
+        return "git is not installed"
     described = subprocess.run(
         ["git", "describe", "--always", "--abbrev=40", "--dirty"],
         cwd=repository,

@@ -12,6 +12,7 @@ import pandas as pd
 import yaml
 
 from geoevs.adapter import find_methods
+from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.protocol.entries import REFERENCE
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
@@ -100,23 +101,36 @@ def make_table(
         `<metric>_high` for every metric, `n`, `failed`, `below_floor` and `note`.
 
     Raises:
-        GeoEvsError: the rows come from different protocols.
+        GeoEvsError: there is no such table, or the rows come from different protocols.
     """
+    spec = table_spec(name)
     check_fingerprints(scores)
-    spec = TABLES[name]
     rows = _table_rows(spec, scores, protocol)
     by = ["dataset", "method", "variant", "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
     bins = bin_labels(protocol[spec.edges]) if spec.bins else [""]
+    ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             _table_row(name, spec, summary, dataset, method, variant, label)
+            | ({} if (dataset, method, variant) in ran else {"note": "not run"})
             for dataset in scores["dataset"].unique()
             for method, variant in _entrants(name, scores)
             for label in bins
         ]
     )
     return table if spec.bins else table.drop(columns="bin")
+
+
+def table_spec(name: str) -> TableSpec:
+    """The table called `name`.
+
+    Raises:
+        GeoEvsError: there is none; the sentence names the nearest one.
+    """
+    if name not in TABLES:
+        raise GeoEvsError(f"there is no table '{name}'; {did_you_mean(name, TABLES)}")
+    return TABLES[name]
 
 
 def bin_labels(edges: Sequence[float]) -> list[str]:
@@ -163,8 +177,13 @@ def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
     return sorted(listed, key=lambda entrant: order[_group(name, entrant[0])])
 
 
+def is_control(method: str) -> bool:
+    """Whether a method only marks a floor, a ceiling or a simple baseline."""
+    return method == REFERENCE or ".controls." in find_methods().get(method, "")
+
+
 def _group(name: str, method: str) -> str:
-    if method == REFERENCE or ".controls." in find_methods().get(method, ""):
+    if is_control(method):
         return "control"
     return "paper" if method in _paper()["tables"][name] else "method"
 
@@ -180,7 +199,8 @@ def _table_row(
 ) -> dict[str, Any]:
     here = summary[(summary["dataset"] == dataset) & (summary["bin"] == label)]
     mine = here[(here["method"] == method) & (here["variant"] == variant)].set_index("metric")
-    floor = here[here["method"] == FLOOR].set_index("metric")["mean"]
+    is_floor = (here["method"] == FLOOR) & (here["variant"] == "default")
+    floor = here[is_floor].set_index("metric")["mean"]
     printed = _paper()["tables"][name].get(method, {}) if variant == "default" else {}
     printed = printed.get(label, {}) if spec.bins else printed
     row: dict[str, Any] = {
@@ -200,7 +220,7 @@ def _table_row(
     row["n"] = int(first["n"].fillna(0).iloc[0])
     row["failed"] = int(first["failed"].fillna(0).iloc[0])
     row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
-    row["note"] = _note(mine, row)
+    row["note"] = _note(row)
     return row
 
 
@@ -218,9 +238,7 @@ def _worse(means: pd.Series, floor: pd.Series) -> list[str]:
     ]
 
 
-def _note(mine: pd.DataFrame, row: dict[str, Any]) -> str:
-    if mine.empty:
-        return "not run"
+def _note(row: dict[str, Any]) -> str:
     if row["failed"]:
         return f"failed on {row['failed']} of {row['failed'] + row['n']} views"
-    return ""
+    return "" if row["n"] else "no view here"

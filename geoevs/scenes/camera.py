@@ -21,7 +21,8 @@ class Camera:
         name: which camera of the rig, or which target, this is.
 
     Raises:
-        GeoEvsError: a value is not finite, a focal length is not positive, or the pose not rigid.
+        GeoEvsError: a value is not finite, a focal length is not positive, K has skew, or the
+            pose is not rigid.
     """
 
     K: np.ndarray  # [3, 3] float64
@@ -38,6 +39,10 @@ class Camera:
             raise GeoEvsError(f"{who} needs a 3x3 K and a 4x4 pose; correct its calibration")
         if not (np.isfinite(self.K).all() and np.isfinite(self.world_from_camera).all()):
             raise GeoEvsError(f"{who} has NaN or infinite calibration; correct K and the pose")
+        if self.K[[0, 1, 2, 2], [1, 0, 0, 1]].any() or self.K[2, 2] != 1:
+            raise GeoEvsError(
+                f"{who} has a K with skew or an odd last row; undistort it to fx, fy, cx, cy"
+            )
         if min(self.K[0, 0], self.K[1, 1]) <= 0:
             raise GeoEvsError(f"{who} has a focal length that is not positive; correct fx and fy")
         rotation = self.world_from_camera[:3, :3]

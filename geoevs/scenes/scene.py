@@ -1,17 +1,18 @@
 """What a data source hands over: frames of camera images and LiDAR points, boxes, and a rig."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
 
-from geoevs.errors import GeoEvsError
+from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.plugins import check_options, find_plugins, load_plugin
 from geoevs.scenes.camera import Camera
 
+LIDAR_SPLITS = ("sensor", "beam")
 TRACK_COLUMNS = (
     "frame",
     "track",
@@ -90,6 +91,11 @@ class Rig:
     front_right: str
     lidar_split: str
 
+    def __post_init__(self) -> None:
+        if self.lidar_split not in LIDAR_SPLITS:
+            hint = did_you_mean(self.lidar_split, LIDAR_SPLITS)
+            raise GeoEvsError(f"there is no lidar_split '{self.lidar_split}'; {hint}")
+
     def scores(self, points: PointCloud) -> np.ndarray:
         """(N,) bool: points that may score a method; the others may condition it, never both."""
         if self.lidar_split == "sensor":
@@ -158,17 +164,19 @@ class SceneRef(NamedTuple):
         """Read `NAME` or `NAME@FIRST-LAST` (both ends included).
 
         Raises:
-            GeoEvsError: the text is of neither form, or would leave its folder.
+            GeoEvsError: the text is of neither form; names have letters, digits and `_ . -`, so
+                that none leaves its folder or needs quotes.
         """
-        name, at, span = text.partition("@")
-        first, dash, last = span.partition("-")
-        whole = not at
-        ranged = bool(dash) and first.isdigit() and last.isdigit() and int(first) <= int(last)
-        if not name or Path(name).name != name or not (whole or ranged):
-            raise GeoEvsError(
-                f"scene '{text}' is not of the form NAME or NAME@FIRST-LAST, such as 002@59-70"
-            )
-        return cls(name) if whole else cls(name, int(first), int(last))
+        found = re.fullmatch(r"([a-zA-Z0-9_][a-zA-Z0-9_.-]*)(?:@([0-9]+)-([0-9]+))?", text)
+        if found is not None:
+            name, first, last = found.groups()
+            if first is None:
+                return cls(name)
+            if int(first) <= int(last):
+                return cls(name, int(first), int(last))
+        raise GeoEvsError(
+            f"scene '{text}' is not of the form NAME or NAME@FIRST-LAST, such as 002@59-70"
+        )
 
     def holds(self, frame: int) -> bool:
         """Whether the range, if there is one, includes `frame`."""
@@ -194,7 +202,7 @@ def source_class(name: str) -> type[SceneSource]:
     Raises:
         GeoEvsError: there is none; the sentence names the nearest one.
     """
-    return load_plugin("data source", name, find_sources()).Source
+    return load_plugin("data source", name, find_sources(), "Source")
 
 
 def load_source(name: str, height: int, width: int, options: dict) -> SceneSource:

@@ -8,8 +8,6 @@ scene.json                 name, source, licence, rig; written last
 """
 
 import dataclasses
-import io
-import zipfile
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +18,12 @@ import pandas as pd
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import (
     new_folder,
+    read_arrays,
     read_image,
     read_json,
     to_float,
+    whole_file,
+    write_arrays,
     write_bytes,
     write_image,
     write_json,
@@ -50,8 +51,8 @@ def camera_to_json(camera: Camera) -> dict:
     }
 
 
-def camera_from_json(entry: dict, name: str) -> Camera:
-    """Inverse of `camera_to_json`.
+def camera_from_json(entry: dict, name: str, file: Path) -> Camera:
+    """Inverse of `camera_to_json`; `file` is where the entry stands, for errors.
 
     Raises:
         GeoEvsError: a field is missing, or the calibration is impossible (see Camera).
@@ -60,9 +61,13 @@ def camera_from_json(entry: dict, name: str) -> Camera:
         K = [[entry["fl_x"], 0, entry["cx"]], [0, entry["fl_y"], entry["cy"]], [0, 0, 1]]
         pose = np.array(entry["transform_matrix"], np.float64) @ OPENCV_FROM_OPENGL
         return Camera(K, pose, entry["h"], entry["w"], name)
-    except (KeyError, TypeError, ValueError) as error:
+    except GeoEvsError as error:
+        raise GeoEvsError(f"{file}: {error}") from error
+    except KeyError as error:
+        raise GeoEvsError(f"{file}: camera '{name}' lacks {error}; add it") from error
+    except (TypeError, ValueError) as error:
         raise GeoEvsError(
-            f"camera '{name}' lacks a readable {error}; write the scene store again"
+            f"{file}: camera '{name}' has a value that cannot be read ({error}); correct it"
         ) from error
 
 
@@ -78,7 +83,7 @@ def write_scene(
         entries = []
         for frame in frames:
             _check_frame(info, frame)
-            for name, camera in frame.cameras.items():
+            for name in info.cameras:
                 path = f"images/{name}/{frame.frame:06d}.png"
                 write_image(partial / path, frame.images[name])
                 entries.append(
@@ -88,10 +93,11 @@ def write_scene(
                         "frame": frame.frame,
                         "timestamp": frame.timestamp,
                         "split": "train",
-                        **camera_to_json(camera),
+                        **camera_to_json(frame.cameras[name]),
                     }
                 )
-            _write_points(partial / f"lidar/{frame.frame:06d}.npz", frame.points)
+            arrays = {name: getattr(frame.points, name) for name in POINT_FIELDS}
+            write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
         if not entries:
             raise GeoEvsError(f"scene '{info.name}' has no frames; check its frame range")
         write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
@@ -114,10 +120,13 @@ def _check_frame(info: SceneInfo, frame: Frame) -> None:
         raise GeoEvsError(f"{where} has LiDAR points that are NaN or infinite; drop those rows")
 
 
-def _write_points(path: Path, points: PointCloud) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{name: getattr(points, name) for name in POINT_FIELDS})
-    write_bytes(path, buffer.getvalue())
+def _read_info(path: Path) -> SceneInfo:
+    described = read_json(path)
+    try:
+        rig, cameras = Rig(**described["rig"]), tuple(described["cameras"])
+        return SceneInfo(**{**described, "rig": rig, "cameras": cameras})
+    except (KeyError, TypeError) as error:
+        raise GeoEvsError(f"{path} describes no scene ({error}); remake the store") from error
 
 
 class Scene:
@@ -129,30 +138,31 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        described = read_json(self.folder / "scene.json")
+        self.info = _read_info(self.folder / "scene.json")
+        self.cameras: tuple[str, ...] = self.info.cameras
+        self._transforms = self.folder / "transforms.json"
         try:
-            rig = Rig(**described.pop("rig"))
-            self.info = SceneInfo(**{**described, "rig": rig})
-        except (KeyError, TypeError, AttributeError) as error:
+            entries = read_json(self._transforms)["frames"]
+            self._entries = {(entry["camera"], entry["frame"]): entry for entry in entries}
+        except (KeyError, TypeError) as error:
             raise GeoEvsError(
-                f"{self.folder / 'scene.json'} describes no scene ({error}); remake the store"
+                f"{self._transforms} lists no views with 'camera' and 'frame' ({error}); "
+                "remake the store"
             ) from error
-        self.cameras: tuple[str, ...] = tuple(self.info.cameras)
-        self._entries = {}
-        for entry in read_json(self.folder / "transforms.json")["frames"]:
-            self._entries[entry["camera"], entry["frame"]] = entry
         self.frames: tuple[int, ...] = tuple(sorted({frame for _, frame in self._entries}))
+        if not self.frames:
+            raise GeoEvsError(f"{self._transforms} has no frames; remake the store")
         for frame in self.frames:
             for camera in self.cameras:
                 if (camera, frame) not in self._entries:
                     raise GeoEvsError(
-                        f"{self.folder / 'transforms.json'} has no camera '{camera}' in frame "
-                        f"{frame}; add the image or remove the frame"
+                        f"{self._transforms} has no camera '{camera}' in frame {frame}; "
+                        "add the image or remove the frame"
                     )
 
     def camera(self, name: str, frame: int) -> Camera:
         """The calibrated camera `name` in `frame`."""
-        return camera_from_json(self._entry(name, frame), name)
+        return camera_from_json(self._entry(name, frame), name, self._transforms)
 
     def image(self, name: str, frame: int) -> np.ndarray:
         """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`."""
@@ -165,18 +175,16 @@ class Scene:
     def points(self, frame: int) -> PointCloud:
         """The coloured LiDAR points of `frame`."""
         path = self.folder / f"lidar/{frame:06d}.npz"
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return PointCloud(**{name: file[name] for name in POINT_FIELDS})
-        except FileNotFoundError as error:
-            raise GeoEvsError(f"{path} is missing; remake the scene store") from error
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise GeoEvsError(f"{path} is not whole ({error}); remake the scene store") from error
+        arrays = read_arrays(path)
+        with whole_file(path):
+            return PointCloud(**{name: arrays[name] for name in POINT_FIELDS})
 
     @cached_property
     def tracks(self) -> pd.DataFrame:
         """Boxes of moving and parked objects, one row a frame and track (see TRACK_COLUMNS)."""
-        return pd.read_parquet(self.folder / "tracks.parquet")
+        path = self.folder / "tracks.parquet"
+        with whole_file(path):
+            return pd.read_parquet(path)
 
     def _entry(self, name: str, frame: int) -> dict:
         if name not in self.cameras:

@@ -1,5 +1,7 @@
 # The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
 import json
+import shlex
+import sys
 from pathlib import Path
 
 from geoevs import layout
@@ -20,6 +22,9 @@ try:
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
+
+# `geoevs` is the one beside this Python, whether or not its environment is activated.
+shell.prefix(f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; ")
 
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]
@@ -46,7 +51,10 @@ def in_run(pattern):
 
 def every_scene(pattern):
     """The pattern's paths for all test scenes."""
-    return [in_run(pattern).format(dataset=dataset, scene=scene) for dataset, scene in TEST_SCENES]
+    return [
+        in_run(pattern).format(dataset=dataset, scene=scene)
+        for dataset, scene in TEST_SCENES
+    ]
 
 
 def every_result(pattern):
@@ -62,8 +70,8 @@ def scene_arguments(wildcards):
     """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
     dataset = config["datasets"][wildcards.dataset]
     return (
-        f"--source {dataset['source']} --name '{wildcards.scene}' --height {HEIGHT} "
-        f"--width {WIDTH} --options '{json.dumps(dataset['options'])}'"
+        f"--source {dataset['source']} --name {wildcards.scene} --height {HEIGHT} "
+        f"--width {WIDTH} --options {shlex.quote(json.dumps(dataset['options']))}"
     )
 
 
@@ -79,7 +87,9 @@ def method_code(step):
     def of(wildcards):
         method = ENTRIES[wildcards.label].method
         modules = [] if method == REFERENCE else [find_methods()[method]]
-        return code_hash(f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules)
+        return code_hash(
+            f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules
+        )
 
     return of
 
@@ -88,3 +98,28 @@ def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
     return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+
+
+def budget_arguments(wildcards):
+    """The budget of a fit, and the options it is made with."""
+    seconds = config["budget"]["fit_seconds"]
+    limit = "" if seconds is None else f"--fit-seconds {seconds}"
+    return (
+        f"--options {shlex.quote(json.dumps(ENTRIES[wildcards.label].options))} {limit}"
+    )
+
+
+def evidence(wildcards):
+    """What the reference control, and it alone, may look at."""
+    if ENTRIES[wildcards.label].method != REFERENCE:
+        return {}
+    return {
+        "scene": in_run(layout.SCENE),
+        "references": in_run(layout.REFERENCES),
+        "truth": in_run(layout.TRUTH),
+    }
+
+
+def evidence_arguments(wildcards, input):
+    """The same as arguments."""
+    return " ".join(f"--{name} '{input[name]}'" for name in evidence(wildcards))

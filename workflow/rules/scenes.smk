@@ -4,14 +4,14 @@
 rule scene:
     output:
         directory(in_run(layout.SCENE)),
-    params:
-        scene=scene_arguments,
-        code=source_code,
-    threads: workflow.cores
     log:
         in_run("logs/scene/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/scene/{dataset}/{scene}.tsv")
+    threads: workflow.cores
+    params:
+        scene=scene_arguments,
+        code=source_code,
     shell:
         "geoevs --log {log:q} scene {params.scene} --out {output:q}"
 
@@ -21,13 +21,13 @@ rule truth:
         targets=in_run(layout.TARGETS),
     output:
         directory(in_run(layout.TRUTH)),
-    params:
-        scene=scene_arguments,
-        code=source_code,
-    threads: workflow.cores
     log:
         in_run("logs/truth/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/truth/{dataset}/{scene}.tsv")
+    threads: workflow.cores
+    params:
+        scene=scene_arguments,
+        code=source_code,
     shell:
         "geoevs --log {log:q} truth {params.scene} --targets {input.targets:q} --out {output:q}"

@@ -11,15 +11,15 @@ rule score:
     output:
         scores=in_run(layout.SCORE_PART),
         costs=in_run(layout.COST_PART),
+    log:
+        in_run("logs/score/{dataset}/{scene}/{label}.log"),
+    benchmark:
+        in_run("benchmarks/score/{dataset}/{scene}/{label}.tsv")
     params:
         entry=entry_arguments,
         protocol=PROTOCOL,
         threads=workflow.cores,
         code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
-    log:
-        in_run("logs/score/{dataset}/{scene}/{label}.log"),
-    benchmark:
-        in_run("benchmarks/score/{dataset}/{scene}/{label}.tsv")
     shell:
         "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
         " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
@@ -56,9 +56,9 @@ rule manifest:
         in_run(layout.SCORES),
     output:
         in_run(layout.MANIFEST),
-    params:
-        config=json.dumps(config),
     log:
         in_run("logs/manifest.log"),
+    params:
+        config=json.dumps(config),
     shell:
         "geoevs --log {log:q} manifest {input:q} --config {params.config:q} --out {output:q}"

@@ -1,6 +1,7 @@
 # From rows to what people read.
 
 TABLE_FILES = [in_run(layout.TABLE) + suffix for suffix in (".csv", ".md", ".tex")]
+COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -9,16 +10,30 @@ rule table:
         scores=in_run(layout.SCORES),
     output:
         TABLE_FILES,
+    log:
+        in_run("logs/table/{table}.log"),
     params:
         protocol=PROTOCOL,
         settings=json.dumps(config["tables"]),
         stem=in_run(layout.TABLE),
         code=code_hash("geoevs.results.tables", "geoevs.results.formats"),
-    log:
-        in_run("logs/table/{table}.log"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
         " --protocol {params.protocol:q} --settings {params.settings:q} --out {params.stem:q}"
+
+
+rule cost_table:
+    input:
+        in_run(layout.COSTS),
+    output:
+        COST_FILES,
+    log:
+        in_run("logs/cost_table.log"),
+    params:
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.costs"),
+    shell:
+        "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
 
 
 rule figure:
@@ -28,14 +43,16 @@ rule figure:
         every_scene(layout.TRUTH),
     output:
         in_run(layout.FIGURE),
+    log:
+        in_run("logs/figure/{table}.log"),
     params:
-        run=RUN,
-        scenes=" ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES),
+        run=lambda wildcards, output: Path(output[0]).parents[1],
+        scenes=" ".join(
+            f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES
+        ),
         labels=" ".join(f"--labels {label}" for label in ENTRIES),
         keeps=json.dumps(config["protocol"]["reference_keep"]),
         code=code_hash("geoevs.results.figures"),
-    log:
-        in_run("logs/figure/{table}.log"),
     shell:
         "geoevs --log {log:q} grid {wildcards.table} --run {params.run:q} {params.scenes}"
         " {params.labels} --keeps {params.keeps:q} --out {output:q}"
@@ -50,5 +67,5 @@ rule tables:
     input:
         expand(TABLE_FILES, table=TABLES),
         expand(in_run(layout.FIGURE), table=TABLES),
-        in_run(layout.COSTS),
+        COST_FILES,
         in_run(layout.MANIFEST),

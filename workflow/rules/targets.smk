@@ -6,11 +6,11 @@ rule targets:
         scene=in_run(layout.SCENE),
     output:
         in_run(layout.TARGETS),
+    log:
+        in_run("logs/targets/{dataset}/{scene}.log"),
     params:
         protocol=PROTOCOL,
         code=code_hash("geoevs.protocol.targets"),
-    log:
-        in_run("logs/targets/{dataset}/{scene}.log"),
     shell:
         "geoevs --log {log:q} targets --scene {input.scene:q} --protocol {params.protocol:q}"
         " --out {output:q}"
@@ -22,13 +22,13 @@ rule references:
         targets=in_run(layout.TARGETS),
     output:
         in_run(layout.REFERENCES),
-    params:
-        seed=config["seed"],
-        code=code_hash("geoevs.protocol.reference"),
     log:
         in_run("logs/references/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/references/{dataset}/{scene}.tsv")
+    params:
+        seed=config["seed"],
+        code=code_hash("geoevs.protocol.reference"),
     shell:
         "geoevs --log {log:q} references --scene {input.scene:q} --targets {input.targets:q}"
         " --seed {params.seed} --out {output:q}"

@@ -1,6 +1,5 @@
 """The source views of the frame, lifted by LiDAR and projected into the target; holes are black."""
 
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -9,7 +8,7 @@ import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
 from geoevs.geometry.lift import lidar_depths, lift_frame
-from geoevs.io import write_bytes
+from geoevs.io import read_arrays, write_arrays
 from geoevs.projection import rasterize
 from geoevs.scenes.camera import Camera
 
@@ -47,20 +46,18 @@ class Method:
             for frame, depths in self.depths.items()
             for name, depth in depths.items()
         }
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
-        write_bytes(folder / "depths.npz", buffer.getvalue())
+        write_arrays(folder / "depths.npz", arrays)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Open the scene store and read the depths."""
         method = cls()
         method.views = views = Views.load(folder / "views")
-        with np.load(folder / "depths.npz") as file:
-            method.depths = {
-                frame: {name: file[f"{frame}/{name}"] for name in views.cameras}
-                for frame in views.frames
-            }
+        arrays = read_arrays(folder / "depths.npz")
+        method.depths = {
+            frame: {name: arrays[f"{frame}/{name}"] for name in views.cameras}
+            for frame in views.frames
+        }
         return method
 
     def _cloud(self, frame: int, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

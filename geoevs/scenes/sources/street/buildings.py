@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from geoevs.scenes.sources.street.finishes import WALLS
-from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Street
+from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Street, is_near
 from geoevs.scenes.sources.street.mesh import MeshBuilder, boxes
 
 DEPTH = 12.0  # of a building
-DETAIL_CENTRE, DETAIL_RADIUS = np.array([10.0, 0.0]), 50.0  # where windows get their frames
 RECESS = 0.16  # of the glass behind the facade
 WOOD = ((0.30, 0.13, 0.07), (0.08, 0.16, 0.12), (0.10, 0.12, 0.22), (0.35, 0.06, 0.05))
 FRAMES = ((0.72, 0.72, 0.70), (0.10, 0.10, 0.11), (0.26, 0.15, 0.08), (0.60, 0.62, 0.60))
@@ -28,7 +27,7 @@ class Wall:
         self._along = along / self.width
         self._out = np.array([self._along[1], -self._along[0], 0.0])
         self._origin = np.append(start, foot)
-        self.near = bool(np.linalg.norm((start + end) / 2 - DETAIL_CENTRE) < DETAIL_RADIUS)
+        self.near = is_near((start + end) / 2)
 
     def world(self, local: np.ndarray) -> np.ndarray:
         """World points of (..., 3) local (u, v, n) points."""

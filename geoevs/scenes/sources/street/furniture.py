@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from geoevs.scenes.sources.street.layout import KERB_HEIGHT, KerbLine, Street
+from geoevs.scenes.sources.street.layout import KERB_HEIGHT, KerbLine, Street, is_near
 from geoevs.scenes.sources.street.mesh import MeshBuilder, add_tube, boxes, icosphere
 
 STEEL = (0.16, 0.17, 0.17)
-CLUMPS, LEAVES = 11, 150  # clumps of leaves a tree, leaves a clump
+CLUMPS = 11  # of leaves, a tree
+NEAR_LEAVES, FAR_LEAVES = 120, 32  # a clump; far trees have fewer and larger ones
 
 
 def add_furniture(
@@ -16,7 +17,7 @@ def add_furniture(
     rng: np.random.Generator,
 ) -> None:
     """Place furniture along every kerb, and trees in the (start, end) gardens between houses."""
-    trees = [_tree(rng) for _ in range(4)]
+    trees = [_Tree(rng) for _ in range(4)]
     for start, end in gardens:
         _plant(builder, start, end, trees, rng)
     for kerb in street.kerbs:
@@ -27,9 +28,7 @@ def add_furniture(
             if kind == 0:
                 builder.place(_lamp(), x, y, KERB_HEIGHT, yaw)
             elif street.verge or rng.random() < 0.5:
-                tree = trees[rng.integers(len(trees))]
-                turn, size = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.15)
-                builder.place(tree, x, y, KERB_HEIGHT, turn, size)
+                trees[rng.integers(len(trees))].plant(builder, x, y, KERB_HEIGHT, rng)
         for x, y, yaw in _places(kerb, 0.55, 17.0, rng):
             builder.place(_sign(rng), x, y, KERB_HEIGHT, yaw)
         for x, y, yaw in _places(kerb, street.facade - street.setback - 0.5, 14.0, rng):
@@ -59,7 +58,23 @@ def _places(
     return found
 
 
-def _tree(rng: np.random.Generator) -> MeshBuilder:
+class _Tree:
+    """One kind of tree, in fine and in coarse."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        seed = int(rng.integers(2**31))
+        self._near, self._far = (
+            _tree(leaves, np.random.default_rng(seed)) for leaves in (NEAR_LEAVES, FAR_LEAVES)
+        )
+
+    def plant(
+        self, builder: MeshBuilder, x: float, y: float, z: float, rng: np.random.Generator
+    ) -> None:
+        mesh = self._near if is_near(np.array([x, y])) else self._far
+        builder.place(mesh, x, y, z, rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.15))
+
+
+def _tree(leaf_count: int, rng: np.random.Generator) -> MeshBuilder:
     tree = MeshBuilder()
     bark = np.array([0.13, 0.10, 0.075]) * rng.uniform(0.7, 1.3)
     fork = rng.uniform(2.2, 3.0)
@@ -78,7 +93,7 @@ def _tree(rng: np.random.Generator) -> MeshBuilder:
         size = rng.uniform(0.75, 1.15) * np.array([1, 1, 0.85])
         # A dark core keeps the sky from shining through; leaves cover it.
         tree.triangles("matte", 0.86 * size * ball + centre, 0.6 * green)
-        leaves, light = _leaves(rng)
+        leaves, light = _leaves(leaf_count, rng)
         shade = green * light * (1 + 0.25 * rng.normal(size=(len(leaves), 1)).clip(-2, 2))
         tree.quads("matte", size * leaves + centre, np.clip(shade, 0.004, 0.5))
     return tree
@@ -88,7 +103,7 @@ def _plant(
     builder: MeshBuilder,
     start: np.ndarray,  # [2]
     end: np.ndarray,  # [2]
-    trees: list[MeshBuilder],
+    trees: list[_Tree],
     rng: np.random.Generator,
 ) -> None:
     """A garden behind a low wall, with rows of trees that close the view."""
@@ -101,20 +116,19 @@ def _plant(
     for depth in (4.0, 9.0, 15.0):
         for share in np.arange(0.15, 1.0, 0.3):
             x, y = start + share * (end - start) + rng.uniform(-1, 1) * along + depth * inward
-            tree, size = trees[rng.integers(len(trees))], rng.uniform(0.8, 1.2)
-            builder.place(tree, x, y, KERB_HEIGHT - 0.5, rng.uniform(0, 2 * np.pi), size)
+            trees[rng.integers(len(trees))].plant(builder, x, y, KERB_HEIGHT - 0.5, rng)
 
 
-def _leaves(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 4, 3) leaves over a unit sphere, seen from both sides, and (N, 1) their brightness."""
-    out = rng.normal(size=(LEAVES, 3))
+def _leaves(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(2 count, 4, 3) two-sided leaves over a unit sphere and (2 count, 1) their brightness."""
+    out = rng.normal(size=(count, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     normal = out + 0.55 * rng.normal(size=out.shape)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     side = np.cross(normal, rng.normal(size=out.shape))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    long, wide = rng.uniform(0.10, 0.20, (2, LEAVES, 1))
-    reach = rng.uniform(0.78, 1.12, (LEAVES, 1))
+    long, wide = rng.uniform(1.2, 2.4, (2, count, 1)) / np.sqrt(count)
+    reach = rng.uniform(0.78, 1.12, (count, 1))
     middle = reach * out
     up = np.cross(normal, side)
     front = np.stack(

@@ -136,9 +136,9 @@ def render_image(
         samples: rays a pixel.
         rng: where in the pixels the rays go.
     """
-    fewer = -(-samples // 6)  # for what is dim or smooth
+    mirrored, shaded = -(-samples // 4), -(-samples // 6)  # dimmer or smoother: fewer rays
     lit = _average(scenes.lit, camera, "lit", lattice_shifts(samples, rng))
-    glow = _average(scenes.lit, camera, "glow", lattice_shifts(fewer, rng))
+    glow = _average(scenes.lit, camera, "glow", lattice_shifts(shaded, rng))
     middle = Lattice(camera, np.array([0.5, 0.5]))
     distance = middle.per_pixel(middle.see(scenes.lit, "distance")) / middle.rays
     distance = distance[..., :1]
@@ -146,7 +146,7 @@ def render_image(
     rays = pixel_rays(camera)
     points = camera.centre + distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     radiance = lit - glow * (1 - openness(points, actors, time))[..., None]
-    radiance += _reflections(scenes.mirror, camera, lattice_shifts(fewer, rng))
+    radiance += _reflections(scenes.mirror, camera, lattice_shifts(mirrored, rng))
     haze = 1 - np.exp(-distance / light.haze_distance)
     return light.develop(radiance + (light.horizon - radiance) * haze)
 

@@ -1,0 +1,25 @@
+"""Arguments that are JSON."""
+
+import json
+from typing import Any
+
+from geoevs.errors import GeoEvsError
+
+EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}
+
+
+def parse_json(option: str, text: str, kind: type = dict) -> Any:
+    """The JSON object (or list) that an option was given.
+
+    Raises:
+        GeoEvsError: the text is not JSON, or of another kind; the sentence names the option.
+    """
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise GeoEvsError(
+            f"{option} is not JSON ({error}); write a JSON {EXAMPLES[kind]}"
+        ) from error
+    if not isinstance(value, kind):
+        raise GeoEvsError(f"{option} is {text}; write a JSON {EXAMPLES[kind]}")
+    return value

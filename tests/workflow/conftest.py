@@ -1,0 +1,52 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml")
+
+
+class Workspace:
+    """A folder in which snakemake runs the project's workflow, its results apart."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("Snakefile", "workflow", "profiles", "config.yaml"):
+            (folder / name).symlink_to(PROJECT / name)
+
+    def command(self, *arguments: str) -> list[str]:
+        return [sys.executable, "-m", "snakemake", "--cores", "2", *arguments]
+
+    def snakemake(self, *arguments: str) -> subprocess.CompletedProcess:
+        return subprocess.run(
+            self.command(*arguments), cwd=self.folder, capture_output=True, text=True, check=False
+        )
+
+    def start(self, *arguments: str) -> subprocess.Popen:
+        """Run in a process group of its own, so that all of it can be killed."""
+        return subprocess.Popen(
+            self.command(*arguments),
+            cwd=self.folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+            env=os.environ,
+        )
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    return Workspace(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def smoke_run(tmp_path_factory):
+    """The smoke DAG, run once, with one entrant that fails."""
+    workspace = Workspace(tmp_path_factory.mktemp("smoke"))
+    overlay = workspace.folder / "failing.yaml"
+    overlay.write_text("methods: {external: {options: {folder: nowhere}}}\n")
+    run = workspace.snakemake(*SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    return workspace, run

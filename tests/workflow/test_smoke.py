@@ -1,0 +1,135 @@
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import SMOKE
+
+from geoevs.io import read_image
+from geoevs.results.tables import TABLES
+
+CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
+# Everything but timings, which no two runs share.
+STABLE = ("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references")
+UNSTABLE = {"costs.csv", "costs.md", "render.json"}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    found = {}
+    for name in STABLE:
+        root = folder / name
+        for path in [root] if root.is_file() else sorted(root.rglob("*")):
+            if path.is_file() and path.name not in UNSTABLE:
+                found[str(path.relative_to(folder))] = path.read_bytes()
+    return found
+
+
+def test_the_whole_dag_runs(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke"
+    for table in TABLES:
+        for suffix in (".csv", ".md", ".tex"):
+            assert (results / f"tables/{table}{suffix}").stat().st_size > 100
+        assert read_image(results / f"figures/{table}.png").std() > 10
+    assert (results / "manifest.json").exists()
+
+
+def test_scores_order_the_controls(smoke_run):
+    workspace, _ = smoke_run
+    table = pd.read_csv(workspace.folder / "results/smoke/tables/extrapolation.csv")
+    means = table.set_index("method")["sparse_psnr"]
+    assert means["reference"] > 50
+    assert means["reproject-inpaint"] > means["mean-colour"]
+    assert means["reproject-inpaint"] > means["reproject"]
+    assert table.set_index("method").loc[CONTROLS, "group"].eq("control").all()
+    assert table[table["group"] == "paper"]["sparse_psnr"].isna().all()
+
+
+def test_truth_and_reference_agree_on_who_is_better(smoke_run):
+    workspace, _ = smoke_run
+    table = pd.read_csv(workspace.folder / "results/smoke/tables/extrapolation.csv")
+    rows = table.set_index("method").loc[["mean-colour", "reproject", "reproject-inpaint"]]
+    assert rows["sparse_psnr"].rank().tolist() == rows["psnr"].rank().tolist()
+
+
+def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
+    workspace, run = smoke_run
+    scores = pd.read_parquet(workspace.folder / "results/smoke/scores.parquet")
+    failed = scores[scores["method"] == "external"]
+    assert (failed["status"] == "failed").all()
+    assert failed["value"].isna().all()
+    assert failed["stage"].unique().tolist() == ["fit"]
+    assert (workspace.folder / failed["log"].iloc[0]).exists()
+    others = scores[scores["method"] != "external"]
+    assert len(failed) == len(others[others["method"] == "reproject"])
+    assert not (others["status"] == "failed").any()
+    last = [line for line in run.stderr.splitlines() if line.strip()][-6:]
+    named = [line for line in last if line.startswith("FAILED: external")]
+    assert named
+    assert "nowhere" in named[0]
+
+
+def test_a_second_call_has_nothing_to_do(smoke_run):
+    workspace, _ = smoke_run
+    again = workspace.snakemake(*SMOKE, "failing.yaml", "-n", "--", "tables", "breakdowns")
+    assert "Nothing to be done" in again.stdout + again.stderr
+
+
+def test_another_bootstrap_remakes_tables_alone(smoke_run):
+    workspace, _ = smoke_run
+    (workspace.folder / "other.yaml").write_text("tables: {resamples: 200}\n")
+    plan = workspace.snakemake(*SMOKE, "failing.yaml", "other.yaml", "-n", "--", "tables")
+    text = plan.stdout + plan.stderr
+    assert "rule table:" in text
+    for rule in ("scene", "fit", "render", "score", "truth", "references"):
+        assert f"rule {rule}:" not in text
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
+    finished, _ = smoke_run
+    (workspace.folder / "failing.yaml").symlink_to(finished.folder / "failing.yaml")
+    arguments = (*SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    moments = random.Random(0)
+    for _ in range(3):
+        process = workspace.start(*arguments)
+        time.sleep(moments.uniform(6, 14))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    last = workspace.snakemake(*arguments)
+    assert last.returncode == 0, last.stderr[-3000:]
+    expected = files(finished.folder / "results/smoke")
+    found = files(workspace.folder / "results/smoke")
+    assert found.keys() == expected.keys()
+    assert [name for name in found if found[name] != expected[name]] == []
+
+
+def test_a_wrong_key_is_one_sentence(workspace):
+    (workspace.folder / "wrong.yaml").write_text("protocol:\n  pose_swep: {every: 2}\n")
+    run = workspace.snakemake("--configfile", "config.yaml", "wrong.yaml", "-n")
+    assert run.returncode != 0
+    assert "wrong.yaml:2: 'pose_swep' is not a known key; did you mean 'pose_sweep'?" in run.stderr
+    assert "Traceback" not in run.stderr
+
+
+@pytest.mark.skipif(
+    "GEOEVS_PANDASET" not in os.environ,
+    reason="set GEOEVS_PANDASET to the folder that holds PandaSet sequences such as 002",
+)
+def test_real_frames_run_too(workspace):
+    (workspace.folder / "small.yaml").write_text(
+        "resolution: [96, 96]\n"
+        'datasets: {pandaset: {partitions: {test: ["002@65-65"]}}}\n'
+        "methods: {reproject: null, reference: null, nearest-view: null}\n"
+    )
+    scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
+    run = workspace.snakemake("--configfile", *scale, "--", "tables")
+    assert run.returncode == 0, run.stderr[-3000:]
+    table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
+    means = table.set_index("method")["sparse_psnr"]
+    assert means["reproject-inpaint"] > means["mean-colour"] + 3
+    assert np.isnan(means["geo-evs"])
