@@ -8,7 +8,7 @@ from geoevs.projection import project_points, zbuffer
 from geoevs.scenes.camera import Camera
 
 # Distances in the image are tangents (pixels over focal length), so that nothing here depends on
-# the resolution. The values were chosen on procedural streets; benchmarks/README.md has the curve.
+# the resolution. Values were chosen on procedural streets, and benchmarks/README.md has the gains.
 
 # A triangle whose corners' depths differ by more than this ratio spans an occlusion edge, and one
 # with a longer side than this spans a gap between the points: neither is a surface.
@@ -18,6 +18,9 @@ LONGEST_SIDE = 0.1
 COLOUR_REACH = 0.25
 # Pixels: the colour of a point's neighbourhood, not of the texture it happened to hit.
 BLUR = 1.0
+# Of this many nearest points, those up to this much farther than the nearest count as tied.
+NEIGHBOURS = 4
+TIE = 1.1
 
 
 def complete_depth(
@@ -46,20 +49,50 @@ def complete_depth(
     seen = index >= 0
     if np.count_nonzero(seen) < 3:
         return np.zeros(shape, np.float32)
-    uv, depth = project_points(points[index[seen]], camera)
+    points = points[index[seen]]
+    uv, depth = project_points(points, camera)
     inverse = 1.0 / depth
     focal = camera.K[[0, 1], [0, 1]]
-    places = uv / focal
-    grid = (np.mgrid[: shape[0], : shape[1]][::-1].reshape(2, -1).T + 0.5) / focal
-
-    surface, smooth = _interpolate(places, inverse, grid)
+    grid = np.mgrid[: shape[0], : shape[1]][::-1].reshape(2, -1).T + 0.5
+    surface, smooth = _interpolate(uv / focal, inverse, grid / focal)
     filled = np.empty(len(grid))
     filled[surface] = smooth
+
     colours = cv2.GaussianBlur(image, (0, 0), BLUR) * COLOUR_REACH
-    points_5d = np.hstack([places, colours[seen]])
-    pixels_5d = np.hstack([grid, colours.reshape(-1, 3)])
-    filled[~surface] = inverse[cKDTree(points_5d).query(pixels_5d[~surface])[1]]
+    candidates = np.hstack([uv / focal, colours[seen]])
+    queries = np.hstack([grid / focal, colours.reshape(-1, 3)])
+    # What shows above the horizon stands higher than the camera.
+    rises = _upward(grid, camera) > 0
+    high = points[:, 2] > camera.centre[2]
+    for pixels, usable in ((~surface & ~rises, slice(None)), (~surface & rises, high)):
+        if not high.any():
+            usable = slice(None)
+        filled[pixels] = _farthest_of_nearest(candidates[usable], inverse[usable], queries[pixels])
     return (1.0 / filled).reshape(shape).astype(np.float32)
+
+
+def _upward(
+    uv: np.ndarray,  # [N, 2] pixels
+    camera: Camera,
+) -> np.ndarray:
+    """(N,) vertical part of the rays through pixel positions, in the world."""
+    rays = np.linalg.solve(camera.K, np.column_stack([uv, np.ones(len(uv))]).T)
+    return camera.world_from_camera[2, :3] @ rays
+
+
+def _farthest_of_nearest(
+    candidates: np.ndarray,  # [N, D]
+    inverse: np.ndarray,  # [N] inverse depths
+    queries: np.ndarray,  # [M, D]
+) -> np.ndarray:
+    """(M,) inverse depths of the nearest candidates; of those as good as tied, the farthest away.
+
+    A background wrongly brought forward hides things; a foreground wrongly sent back does not.
+    """
+    count = min(NEIGHBOURS, len(candidates))
+    distance, index = cKDTree(candidates).query(queries, k=np.arange(1, count + 1))
+    tied = distance <= TIE * distance[:, :1]
+    return np.where(tied, inverse[index], np.inf).min(axis=1)
 
 
 def _interpolate(

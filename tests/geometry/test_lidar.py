@@ -99,9 +99,9 @@ def test_points_behind_the_camera_give_no_depth():
 def test_points_in_one_line_give_the_nearest_depth():
     uv = np.array([[10.5, 20.5], [30.5, 20.5], [50.5, 20.5]])
     depth = complete_depth(lift(uv, np.array([5.0, 6.0, 7.0])), CAMERA, GREY)
-    assert (depth[:, :20] == 5).all()
-    assert (depth[:, 22:39] == 6).all()
-    assert (depth[:, 42:] == 7).all()
+    assert (depth[:, :17] == 5).all()
+    assert (depth[:, 23:37] == 6).all()
+    assert (depth[:, 43:] == 7).all()
 
 
 def test_resolution_changes_nothing_but_the_grid():

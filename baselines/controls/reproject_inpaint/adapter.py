@@ -21,6 +21,7 @@ FREQUENCY_SELECTIVE = {
     "fsr-fast": cv2.xphoto.INPAINT_FSR_FAST,
     "fsr-best": cv2.xphoto.INPAINT_FSR_BEST,
 }
+INPAINTINGS = (*CLASSICAL, *FREQUENCY_SELECTIVE)
 
 
 @dataclass
@@ -38,11 +39,9 @@ class Method:
     _reprojection: Reprojection = field(init=False, default_factory=Reprojection)
 
     def __post_init__(self) -> None:
-        choices = (*CLASSICAL, *FREQUENCY_SELECTIVE)
-        if self.inpaint not in choices:
-            raise GeoEvsError(
-                f"there is no inpainting '{self.inpaint}'; {did_you_mean(self.inpaint, choices)}"
-            )
+        if self.inpaint not in INPAINTINGS:
+            hint = did_you_mean(self.inpaint, INPAINTINGS)
+            raise GeoEvsError(f"there is no inpainting '{self.inpaint}'; {hint}")
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""
