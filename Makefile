@@ -6,14 +6,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 reproduce: $(READY)
-	PATH="$(CURDIR)/$(BIN):$$PATH" snakemake --cores all
+	$(BIN)/snakemake
 
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow
-	PATH="$(CURDIR)/$(BIN):$$PATH" snakemake --lint
-	PATH="$(CURDIR)/$(BIN):$$PATH" pytest
+	$(BIN)/snakemake --lint
+	$(BIN)/pytest
 
 setup: $(READY)
 

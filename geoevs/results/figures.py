@@ -71,7 +71,10 @@ def table_grid(
             rows.append(Row(name, [*evidence, *renders]))
     recorded = split in ("observed", "interpolation")
     evidence_names = ["recorded"] if recorded else ["truth", "sparse reference", "validity"]
-    return encode_png(draw_grid([*evidence_names, *labels], rows))
+    columns = [*evidence_names, *labels]
+    shown = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
+    rows = [Row(row.label, [row.pictures[k] for k in shown]) for row in rows]
+    return encode_png(draw_grid([columns[k] for k in shown], rows))
 
 
 def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:

@@ -1,5 +1,6 @@
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ class Workspace:
             (folder / name).symlink_to(PROJECT / name)
 
     def command(self, *arguments: str) -> list[str]:
-        return ["snakemake", "--cores", "2", *arguments]
+        return [sys.executable, "-m", "snakemake", "--cores", "2", *arguments]
 
     def snakemake(self, *arguments: str) -> subprocess.CompletedProcess:
         return subprocess.run(

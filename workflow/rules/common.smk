@@ -1,6 +1,7 @@
 # The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
 import json
 import shlex
+import sys
 from pathlib import Path
 
 from geoevs import layout
@@ -21,6 +22,9 @@ try:
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
+
+# `geoevs` is the one beside this Python, whether or not its environment is activated.
+shell.prefix(f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; ")
 
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]

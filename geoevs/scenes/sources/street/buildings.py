@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geoevs.scenes.sources.street.finishes import WALLS
-from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Street
+from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Street, is_near
 from geoevs.scenes.sources.street.mesh import MeshBuilder, boxes
 
 DEPTH = 12.0  # of a building
@@ -27,6 +27,7 @@ class Wall:
         self._along = along / self.width
         self._out = np.array([self._along[1], -self._along[0], 0.0])
         self._origin = np.append(start, foot)
+        self.near = is_near((start + end) / 2)
 
     def world(self, local: np.ndarray) -> np.ndarray:
         """World points of (..., 3) local (u, v, n) points."""
@@ -89,17 +90,22 @@ def make_style(rng: np.random.Generator, corner: bool) -> Style:
     )
 
 
-def add_buildings(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Line every kerb with buildings, with a garden here and there."""
+def add_buildings(
+    builder: MeshBuilder, street: Street, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Line every kerb with buildings; returns the (start, end) of the gaps left for gardens."""
+    gardens = []
     for kerb in street.kerbs:
         line = kerb.offset(street.facade)
         corner = len(kerb.legs) == 2
         for number, leg in enumerate(kerb.legs):
             points = line[leg]
             if number == 0 and corner:
-                _fill(builder, points[::-1], 0.0, True, True, rng)
+                gardens += _fill(builder, points[::-1], 0.0, True, True, rng)
             else:
-                _fill(builder, points, DEPTH if corner else 0.0, False, corner, rng)
+                begin = DEPTH if corner else 0.0
+                gardens += _fill(builder, points, begin, False, corner, rng)
+    return gardens
 
 
 def _fill(
@@ -109,8 +115,9 @@ def _fill(
     backwards: bool,
     corner: bool,
     rng: np.random.Generator,
-) -> None:
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Buildings along a line; `backwards` where the block lies on the right of the points."""
+    gardens = []
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     place = begin
@@ -121,11 +128,13 @@ def _fill(
             [np.interp([place, place + width], length, points[:, axis]) for axis in (0, 1)], axis=1
         )
         start, end = ends[::-1] if backwards else ends
-        garden = not first and rng.random() < 0.08
-        if not garden and np.linalg.norm(end - start) > 4:
+        if not first and rng.random() < 0.08:
+            gardens.append((start, end))
+        else:
             _add_building(builder, start, end, make_style(rng, corner and first), rng)
         place += width + (rng.uniform(1.5, 3) if rng.random() < 0.12 else 0.0)
         first = False
+    return gardens
 
 
 def _add_building(
@@ -177,7 +186,7 @@ def _add_facade(
         doors = np.arange(bays) == (door_bay if floor == 0 else -1)
         _add_windows(builder, wall, spans[open_ & ~doors], style, rng)
         _add_doors(builder, wall, spans[doors], rng)
-        if floor and front and style.balconies:
+        if floor and front and style.balconies and wall.near:
             chosen = np.arange(bays) % 2 == (door_bay % 2)
             _add_balconies(builder, wall, centres[chosen], foot, style)
     if front:
@@ -239,6 +248,11 @@ def _add_windows(
         wall.panels(builder, "glass", upper[hung], -RECESS, cloth[hung])
     rail, back, face = 0.07, np.full_like(u0, -RECESS), np.full_like(u0, -RECESS + 0.05)
     middle, transom = (u0 + u1) / 2, v0 + 0.68 * (v1 - v0)
+    sill_low = np.stack([u0 - 0.08, v0 - 0.09, back], axis=1)
+    sill_high = np.stack([u1 + 0.08, v0, np.full_like(u0, 0.09)], axis=1)
+    wall.bars(builder, "matte", sill_low, sill_high, style.trim)
+    if not wall.near:
+        return
     frames = (
         (u0, u0 + rail, v0, v1),
         (u1 - rail, u1, v0, v1),
@@ -250,9 +264,6 @@ def _add_windows(
     for a, b, c, d in frames:
         low, high = np.stack([a, c, back], axis=1), np.stack([b, d, face], axis=1)
         wall.bars(builder, "matte", low, high, style.frame)
-    sill_low = np.stack([u0 - 0.08, v0 - 0.09, np.full_like(u0, -RECESS)], axis=1)
-    sill_high = np.stack([u1 + 0.08, v0, np.full_like(u0, 0.09)], axis=1)
-    wall.bars(builder, "matte", sill_low, sill_high, style.trim)
     head_low = np.stack([u0 - 0.1, v1, np.zeros_like(u0)], axis=1)
     head_high = np.stack([u1 + 0.1, v1 + 0.16, np.full_like(u0, 0.05)], axis=1)
     wall.bars(builder, "matte", head_low, head_high, style.trim)

@@ -54,6 +54,8 @@ def make_finishes(rng: np.random.Generator) -> dict[str, Finish]:
         "patch": Finish(_grained("gravel", (0.085, 0.085, 0.09), 0.14), (1.6, 1.6)),
         "gravel": Finish(_grained("gravel", (0.36, 0.33, 0.29), 0.5), (1.8, 1.8)),
         "grass": Finish(_grass(rng.uniform(0.8, 1.2)), (2.2, 2.2)),
+        "hedge": Finish(0.6 * _grass(0.9), (1.4, 1.4)),
+        "worn": Finish(_grained("gravel", (0.105, 0.105, 0.11), 0.13), (1.6, 1.6)),
         "paving": Finish(_paving(rng), (2.4, 2.4)),
         "roof": Finish(_roof(rng), (1.6, 1.6)),
     }

@@ -2,15 +2,24 @@
 
 import numpy as np
 
-from geoevs.scenes.sources.street.layout import KERB_HEIGHT, KerbLine, Street
+from geoevs.scenes.sources.street.layout import KERB_HEIGHT, KerbLine, Street, is_near
 from geoevs.scenes.sources.street.mesh import MeshBuilder, add_tube, boxes, icosphere
 
 STEEL = (0.16, 0.17, 0.17)
+CLUMPS = 11  # of leaves, a tree
+NEAR_LEAVES, FAR_LEAVES = 120, 32  # a clump; far trees have fewer and larger ones
 
 
-def add_furniture(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Place furniture along every kerb."""
-    trees = [_tree(rng) for _ in range(4)]
+def add_furniture(
+    builder: MeshBuilder,
+    street: Street,
+    gardens: list[tuple[np.ndarray, np.ndarray]],
+    rng: np.random.Generator,
+) -> None:
+    """Place furniture along every kerb, and trees in the (start, end) gardens between houses."""
+    trees = [_Tree(rng) for _ in range(4)]
+    for start, end in gardens:
+        _plant(builder, start, end, trees, rng)
     for kerb in street.kerbs:
         spacing = rng.uniform(8, 13)
         strip = 0.2 + max(street.verge, 1.0) / 2
@@ -19,9 +28,7 @@ def add_furniture(builder: MeshBuilder, street: Street, rng: np.random.Generator
             if kind == 0:
                 builder.place(_lamp(), x, y, KERB_HEIGHT, yaw)
             elif street.verge or rng.random() < 0.5:
-                tree = trees[rng.integers(len(trees))]
-                turn, size = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.15)
-                builder.place(tree, x, y, KERB_HEIGHT, turn, size)
+                trees[rng.integers(len(trees))].plant(builder, x, y, KERB_HEIGHT, rng)
         for x, y, yaw in _places(kerb, 0.55, 17.0, rng):
             builder.place(_sign(rng), x, y, KERB_HEIGHT, yaw)
         for x, y, yaw in _places(kerb, street.facade - street.setback - 0.5, 14.0, rng):
@@ -51,7 +58,23 @@ def _places(
     return found
 
 
-def _tree(rng: np.random.Generator) -> MeshBuilder:
+class _Tree:
+    """One kind of tree, in fine and in coarse."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        seed = int(rng.integers(2**31))
+        self._near, self._far = (
+            _tree(leaves, np.random.default_rng(seed)) for leaves in (NEAR_LEAVES, FAR_LEAVES)
+        )
+
+    def plant(
+        self, builder: MeshBuilder, x: float, y: float, z: float, rng: np.random.Generator
+    ) -> None:
+        mesh = self._near if is_near(np.array([x, y])) else self._far
+        builder.place(mesh, x, y, z, rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.15))
+
+
+def _tree(leaf_count: int, rng: np.random.Generator) -> MeshBuilder:
     tree = MeshBuilder()
     bark = np.array([0.13, 0.10, 0.075]) * rng.uniform(0.7, 1.3)
     fork = rng.uniform(2.2, 3.0)
@@ -59,22 +82,61 @@ def _tree(rng: np.random.Generator) -> MeshBuilder:
     add_tube(tree, "matte", (0, 0, -0.1), (*lean, fork), (0.17, 0.12), bark, 9)
     green = np.array([0.075, 0.135, 0.03]) * rng.uniform(0.75, 1.35)
     green = green * [rng.uniform(0.8, 1.5), 1, rng.uniform(0.7, 1.2)]
-    ball = icosphere(3)
-    for number in range(11):
+    ball = icosphere(1)
+    for number in range(CLUMPS):
         turn = number * 2.4 + rng.uniform(-0.4, 0.4)
         out = 0.0 if number == 0 else rng.uniform(0.6, 1.55)
         z = fork + (2.6 if number == 0 else rng.uniform(0.5, 2.4))
         centre = np.array([lean[0] + out * np.cos(turn), lean[1] + out * np.sin(turn), z])
         if number % 3 == 1:
             add_tube(tree, "matte", (*lean, fork - 0.3), centre, (0.09, 0.03), bark, 6)
-        waves = rng.normal(size=(9, 3)) * 3.2
-        phase = rng.uniform(0, 2 * np.pi, 9)
-        bumps = 1 + 0.075 * np.sin(ball @ waves.T + phase).sum(axis=2, keepdims=True)
-        leaves = ball * bumps * rng.uniform(0.75, 1.15) * [1, 1, 0.85] + centre
-        shade = green * (1 + 0.28 * rng.normal(size=(len(ball), 1)).clip(-2, 2))
-        hang = 0.72 + 0.28 * np.clip(ball[:, :, 2].mean(axis=1, keepdims=True) + 0.4, 0, 1)
-        tree.triangles("matte", leaves, np.clip(shade * hang, 0.005, 0.5))
+        size = rng.uniform(0.75, 1.15) * np.array([1, 1, 0.85])
+        # A dark core keeps the sky from shining through; leaves cover it.
+        tree.triangles("matte", 0.86 * size * ball + centre, 0.6 * green)
+        leaves, light = _leaves(leaf_count, rng)
+        shade = green * light * (1 + 0.25 * rng.normal(size=(len(leaves), 1)).clip(-2, 2))
+        tree.quads("matte", size * leaves + centre, np.clip(shade, 0.004, 0.5))
     return tree
+
+
+def _plant(
+    builder: MeshBuilder,
+    start: np.ndarray,  # [2]
+    end: np.ndarray,  # [2]
+    trees: list[_Tree],
+    rng: np.random.Generator,
+) -> None:
+    """A garden behind a low wall, with rows of trees that close the view."""
+    along = (end - start) / np.linalg.norm(end - start)
+    inward = np.array([-along[1], along[0]])
+    ring = np.array([start, end, end + 0.25 * inward, start + 0.25 * inward])
+    low, high = (np.column_stack([ring, np.full(4, z)]) for z in (0.1, KERB_HEIGHT + 1.1))
+    sides = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
+    builder.quads("matte", np.concatenate([sides, high[None]]), (0.36, 0.30, 0.25))
+    for depth in (4.0, 9.0, 15.0):
+        for share in np.arange(0.15, 1.0, 0.3):
+            x, y = start + share * (end - start) + rng.uniform(-1, 1) * along + depth * inward
+            trees[rng.integers(len(trees))].plant(builder, x, y, KERB_HEIGHT - 0.5, rng)
+
+
+def _leaves(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(2 count, 4, 3) two-sided leaves over a unit sphere and (2 count, 1) their brightness."""
+    out = rng.normal(size=(count, 3))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    normal = out + 0.55 * rng.normal(size=out.shape)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    side = np.cross(normal, rng.normal(size=out.shape))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    long, wide = rng.uniform(1.2, 2.4, (2, count, 1)) / np.sqrt(count)
+    reach = rng.uniform(0.78, 1.12, (count, 1))
+    middle = reach * out
+    up = np.cross(normal, side)
+    front = np.stack(
+        [middle - long * side, middle - wide * up, middle + long * side, middle + wide * up], axis=1
+    )
+    back = front[:, ::-1] - 0.006 * normal[:, None]
+    light = (0.75 + 0.45 * (reach - 0.78) / 0.34) * (0.9 + 0.1 * out[:, 2:])
+    return np.concatenate([front, back]), np.concatenate([light, light])
 
 
 def _lamp() -> MeshBuilder:
@@ -148,18 +210,19 @@ def _add_hedge(
 ) -> None:
     """Front gardens end in hedges with gaps for the doors."""
     near, far = kerb.offset(offset), kerb.offset(offset + 0.6)
-    green = np.array([0.05, 0.105, 0.028])
     for leg in kerb.legs:
         for i in range(leg.start, leg.stop - 1):
-            if rng.random() < 0.3 or np.linalg.norm(near[i + 1] - near[i]) < 0.5:
+            length = float(np.linalg.norm(near[i + 1] - near[i]))
+            if rng.random() < 0.3 or length < 0.5:
                 continue
             plan = np.array([near[i], near[i + 1], far[i + 1], far[i]])
             top = KERB_HEIGHT + rng.uniform(0.75, 1.0)
             low = np.column_stack([plan, np.full(4, KERB_HEIGHT)])
             high = np.column_stack([plan, np.full(4, top)])
             sides = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
-            shade = green * (1 + 0.2 * rng.normal(size=(5, 1)).clip(-2, 2))
-            builder.quads("matte", np.concatenate([sides, high[None]]), shade)
+            uv = np.array([[0, 0], [length, 0], [length, 0.9], [0, 0.9]]) + rng.uniform(0, 2, 2)
+            quads = np.concatenate([sides, high[None]])
+            builder.quads("hedge", quads, (1, 1, 1), uv=np.broadcast_to(uv, (5, 4, 2)))
 
 
 def _add_traffic_lights(builder: MeshBuilder, street: Street) -> None:

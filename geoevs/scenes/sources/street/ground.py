@@ -7,7 +7,8 @@ from geoevs.scenes.sources.street.mesh import MeshBuilder
 
 WHITE, YELLOW = (0.62, 0.62, 0.60), (0.62, 0.43, 0.07)
 LINE = 0.12  # width of a marking
-PAINT_HEIGHT, PATCH_HEIGHT = 0.006, 0.003  # thin layers must stay apart for the ray caster
+# Thin layers must stay apart for the ray caster.
+WORN_HEIGHT, PATCH_HEIGHT, PAINT_HEIGHT = 0.002, 0.004, 0.008
 FAR = 400.0
 
 
@@ -18,9 +19,10 @@ def add_ground(builder: MeshBuilder, street: Street, rng: np.random.Generator) -
     half = street.half_width
     if street.cross is None:
         _strip(builder, "asphalt", street.path, _whole(street.path), -half, half, 0.0)
-        _mark_lanes(builder, street, street.path, _whole(street.path))
-        if rng.random() < 0.6:
-            _mark_crosswalk(builder, street.path, rng.uniform(11, 24), half)
+        zebra = rng.uniform(11, 24)
+        _mark_lanes(builder, street, street.path, (street.path.first, zebra - 2))
+        _mark_lanes(builder, street, street.path, (zebra + 2, street.path.last))
+        _mark_crosswalk(builder, street.path, zebra, half)
     else:
         _add_crossing(builder, street)
     _wear(builder, street, rng)
@@ -111,8 +113,14 @@ def _mark_crosswalk(builder: MeshBuilder, path: Path, at: float, half: float) ->
 
 
 def _wear(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Repaired patches, manholes, drains and cracks."""
+    """Wheel tracks, repaired patches, manholes, drains and cracks."""
     half = street.half_width
+    for lane in np.arange(street.lanes) + 0.5:
+        for track in (-0.75, 0.75):
+            for side in (-1, 1):
+                middle = side * lane * street.lane + track
+                edges = middle - 0.3, middle + 0.3
+                _strip(builder, "worn", street.path, _whole(street.path), *edges, WORN_HEIGHT)
     for _ in range(14):
         s, length = rng.uniform(-15, 70), rng.uniform(1.5, 9)
         low = rng.uniform(-half + 0.3, half - 1.5)
@@ -122,7 +130,7 @@ def _wear(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> Non
     ring = 0.34 * np.stack([np.cos(circle), np.sin(circle), 0 * circle], axis=1)
     for _ in range(8):
         centre = street.path.at(rng.uniform(-10, 60), rng.uniform(-0.6, 0.6) * half)
-        lid = ring + np.append(centre, 0.0045)
+        lid = ring + np.append(centre, 0.006)
         middle = np.broadcast_to(lid.mean(axis=0), lid.shape)
         corners = np.stack([lid, np.roll(lid, -1, axis=0), middle], axis=1)
         builder.triangles("matte", corners, (0.06, 0.055, 0.05))
@@ -133,7 +141,7 @@ def _wear(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> Non
         offset = np.clip(offset, -half + 0.2, half - 0.2)
         right, left = street.path.at(s, offset - 0.012), street.path.at(s, offset + 0.012)
         plan = np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1)
-        corners = np.concatenate([plan, np.full((*plan.shape[:2], 1), 0.0045)], axis=2)
+        corners = np.concatenate([plan, np.full((*plan.shape[:2], 1), 0.006)], axis=2)
         builder.quads("matte", corners, (0.035, 0.035, 0.035))
 
 

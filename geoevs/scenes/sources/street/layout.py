@@ -8,7 +8,13 @@ import numpy as np
 REACH_BEHIND, REACH_AHEAD = 60.0, 150.0  # metres of street around the start
 STEP = 0.25
 KERB_HEIGHT = 0.14
+DETAIL_CENTRE, DETAIL_RADIUS = np.array([15.0, 0.0]), 38.0
 LAYOUTS = ("straight", "curve", "junction")
+
+
+def is_near(place: np.ndarray) -> bool:
+    """Whether things at (2,) `place` come close enough to the ego to deserve fine detail."""
+    return bool(np.linalg.norm(place - DETAIL_CENTRE) < DETAIL_RADIUS)
 
 
 class Path:

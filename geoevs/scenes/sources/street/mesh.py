@@ -81,11 +81,14 @@ class MeshBuilder:
                 )
 
     def surfaces(self) -> dict[str, Surface]:
-        """Each finish's triangles in one piece."""
-        return {
-            finish: Surface(*(np.concatenate(field) for field in zip(*parts, strict=True)))
-            for finish, parts in self._parts.items()
-        }
+        """Each finish's triangles in one piece, without those that have no area."""
+        merged = {}
+        for finish, parts in self._parts.items():
+            whole = Surface(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+            first, second = (whole.corners[:, i] - whole.corners[:, 0] for i in (1, 2))
+            solid = np.linalg.norm(np.cross(first, second), axis=1) > 1e-9
+            merged[finish] = Surface(*(field[solid] for field in whole))
+        return merged
 
 
 def boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:

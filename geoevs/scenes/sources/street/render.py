@@ -1,7 +1,7 @@
 """Pictures and depth at any camera, from the two Mitsuba scenes of an instant.
 
-Every pass sees the same regular lattice of rays (no random sampling), so passes can be combined
-ray by ray, and then averaged over each pixel's own area.
+Rays go through regular lattices of places in the pixels, never to random places, so passes over
+one lattice can be combined ray by ray.
 """
 
 from typing import Any
@@ -14,69 +14,89 @@ from geoevs.scenes.sources.street.stage import Scenes, cast, mitsuba
 from geoevs.scenes.sources.street.traffic import Actor
 
 NEAR = 0.01
-SUN = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
-GLOW = {"type": "path", "max_depth": 1}
-REFLECTIONS = {"type": "path", "max_depth": 3}
-DISTANCE = {"type": "depth"}
+INTEGRATORS = {
+    "lit": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},  # sun and glow
+    "glow": {"type": "path", "max_depth": 1},
+    "reflections": {"type": "path", "max_depth": 3},
+    "distance": {"type": "depth"},
+}
 
 
 class Lattice:
-    """A square grid of rays over a camera's image, and the average of its values per pixel.
+    """One ray in every pixel of a camera's image, all at the same place in their pixels.
 
-    Mitsuba's pixels are square; a camera's need not be. So the lattice has its own spacing, and
-    each of its rays counts for the pixel that it falls in.
+    Mitsuba's pixels are square; a camera's need not be. So the lattice is square, dense enough for
+    the narrower side of a pixel, and each of its rays counts for the pixel that it falls in.
     """
 
-    def __init__(self, camera: Camera, density: int, shift: np.ndarray) -> None:
-        """`density` rays a pixel each way at least; `shift` (2,) moves all, in lattice steps."""
-        mi = mitsuba()
-        focal = density * max(camera.K[0, 0], camera.K[1, 1])
-        step = np.array([camera.K[0, 0], camera.K[1, 1]]) / focal  # pixels between rays
+    def __init__(self, camera: Camera, shift: np.ndarray) -> None:
+        """`shift` (2,) is the place of a ray in its cell, in [0, 1)."""
+        focal = np.array([camera.K[0, 0], camera.K[1, 1]])
+        step = focal / focal.max()  # pixels between rays
         size = np.array([camera.width, camera.height])
         count = np.ceil(size / step - 1e-6).astype(int)
-        self._first = []
-        for axis in (0, 1):
-            centres = (np.arange(count[axis]) + 0.5) * step[axis]
-            self._first.append(np.searchsorted(centres, np.arange(size[axis])))
-        self._counts = [
-            np.diff(np.append(first, total))
-            for first, total in zip(self._first, count, strict=True)
-        ]
-        centre = camera.K[:2, 2] / step - shift
-        opencv = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's x is left, its y is up
-        self.sensor = mi.load_dict(
-            {
-                "type": "perspective",
-                "fov_axis": "x",
-                "fov": float(np.degrees(2 * np.arctan(count[0] / 2 / focal))),
-                "principal_point_offset_x": float(centre[0] / count[0] - 0.5),
-                "principal_point_offset_y": float(centre[1] / count[1] - 0.5),
-                "near_clip": NEAR,
-                "far_clip": 5000.0,
-                "to_world": mi.ScalarTransform4f(camera.world_from_camera @ opencv),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": int(count[0]),
-                    "height": int(count[1]),
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgb",
-                    "component_format": "float32",
-                },
-                "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
-            }
-        )
+        places = [(np.arange(count[axis]) + shift[axis]) * step[axis] for axis in (0, 1)]
+        self._first = [np.searchsorted(places[i], np.arange(size[i]) - 1e-9) for i in (0, 1)]
+        ends = [np.append(self._first[i][1:], count[i]) for i in (0, 1)]
+        self.rays = np.outer(ends[1] - self._first[1], ends[0] - self._first[0])[..., None]
+        centre = camera.K[:2, 2] / step - shift + 0.5
+        self._sensor = _make_sensor(camera, focal.max(), count, centre / count - 0.5)
 
-    def see(self, scene: Any, integrator: dict) -> np.ndarray:
-        """(h, w, 3) what each ray of the lattice brings back."""
+    def see(self, scene: Any, what: str) -> np.ndarray:
+        """(h, w, 3) what each ray of the lattice brings back; `what` is one of INTEGRATORS."""
         mi = mitsuba()
-        image = mi.render(scene, sensor=self.sensor, integrator=mi.load_dict(integrator), spp=1)
+        integrator = mi.load_dict(INTEGRATORS[what])
+        image = mi.render(scene, sensor=self._sensor, integrator=integrator, spp=1)
         return np.array(image)
 
-    def average(self, values: np.ndarray) -> np.ndarray:
-        """(H, W, C) means over each pixel of (h, w, C) values of the rays."""
+    def per_pixel(self, values: np.ndarray) -> np.ndarray:
+        """(H, W, C) sums over each pixel of (h, w, C) values of the rays."""
+        if values.shape[:2] == self.rays.shape[:2]:
+            return values
         rows = np.add.reduceat(values, self._first[1], axis=0)
-        sums = np.add.reduceat(rows, self._first[0], axis=1)
-        return sums / np.outer(self._counts[1], self._counts[0])[..., None]
+        return np.add.reduceat(rows, self._first[0], axis=1)
+
+
+def _make_sensor(camera: Camera, focal: float, count: np.ndarray, offset: np.ndarray) -> Any:
+    mi = mitsuba()
+    opencv = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's x is left, its y is up
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov_axis": "x",
+            "fov": float(np.degrees(2 * np.arctan(count[0] / 2 / focal))),
+            "principal_point_offset_x": float(offset[0]),
+            "principal_point_offset_y": float(offset[1]),
+            "near_clip": NEAR,
+            "far_clip": 5000.0,
+            "to_world": mi.ScalarTransform4f(camera.world_from_camera @ opencv),
+            "film": {
+                "type": "hdrfilm",
+                "width": int(count[0]),
+                "height": int(count[1]),
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+        }
+    )
+
+
+def lattice_shifts(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, 2) places in [0, 1)^2, as far apart as a lattice allows, moved at random together.
+
+    No two share a row or a column, so that edges along the pixel grid come out smooth as well.
+    """
+    index = np.arange(count)
+
+    def spread(step: int) -> float:
+        apart = np.stack([index[1:], step * index[1:] % count], axis=1) / count
+        return np.linalg.norm(np.minimum(apart, 1 - apart), axis=1).min(initial=1.0)
+
+    coprime = [step for step in range(1, count + 1) if np.gcd(step, count) == 1]
+    places = np.stack([index, max(coprime, key=spread) * index], axis=1) / count
+    return (places + rng.uniform(0, 1, 2)) % 1.0
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
@@ -102,7 +122,7 @@ def render_image(
     light: Light,
     actors: list[Actor],
     time: float,
-    density: int,
+    samples: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
     """(H, W, 3) uint8 picture.
@@ -113,34 +133,45 @@ def render_image(
         light: of the scene.
         actors: everybody, for the shade under them.
         time: seconds, tells where the actors are.
-        density: rays a pixel, each way.
-        rng: where in the pixels the lattice of rays lies.
+        samples: rays a pixel.
+        rng: where in the pixels the rays go.
     """
-    shift = rng.uniform(-0.5, 0.5, 2)
-    lattice = Lattice(camera, density, shift)
-    distance = lattice.see(scenes.lit, DISTANCE)[..., :1]
-    hit = (distance > 0).astype(np.float64)
-    full = lattice.average(lattice.see(scenes.lit, SUN))
-    glow = lattice.average(lattice.see(scenes.lit, GLOW))
-    cover = lattice.average(hit)
-    mean_distance = lattice.average(distance) / np.maximum(cover, 1e-9)
+    mirrored, shaded = -(-samples // 4), -(-samples // 6)  # dimmer or smoother: fewer rays
+    lit = _average(scenes.lit, camera, "lit", lattice_shifts(samples, rng))
+    glow = _average(scenes.lit, camera, "glow", lattice_shifts(shaded, rng))
+    middle = Lattice(camera, np.array([0.5, 0.5]))
+    distance = middle.per_pixel(middle.see(scenes.lit, "distance")) / middle.rays
+    distance = distance[..., :1]
 
     rays = pixel_rays(camera)
-    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    points = camera.centre + mean_distance * unit
-    radiance = full - glow * (1 - openness(points, actors, time))[..., None]
-    radiance += _reflections(scenes, camera, max(density // 2, 1), shift)
-    haze = cover * (1 - np.exp(-mean_distance / light.haze_distance))
-    radiance = radiance * (1 - haze) + light.horizon * haze
-    return light.develop(radiance + (1 - cover) * light.sky(unit))
+    points = camera.centre + distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    radiance = lit - glow * (1 - openness(points, actors, time))[..., None]
+    radiance += _reflections(scenes.mirror, camera, lattice_shifts(mirrored, rng))
+    haze = 1 - np.exp(-distance / light.haze_distance)
+    return light.develop(radiance + (light.horizon - radiance) * haze)
 
 
-def _reflections(scenes: Scenes, camera: Camera, density: int, shift: np.ndarray) -> np.ndarray:
-    lattice = Lattice(camera, density, shift)
-    hit = lattice.see(scenes.mirror, DISTANCE)[..., :1] > 0
-    # In the mirror scene only glossy surfaces are without a glow of their own.
-    glossy = hit & (lattice.see(scenes.mirror, GLOW).max(axis=-1, keepdims=True) == 0)
-    return lattice.average(np.where(glossy, lattice.see(scenes.mirror, REFLECTIONS), 0.0))
+def _average(scene: Any, camera: Camera, what: str, shifts: np.ndarray) -> np.ndarray:
+    """(H, W, 3) mean of what rays at all the (N, 2) shifts bring back."""
+    total, rays = 0.0, 0.0
+    for shift in shifts:
+        lattice = Lattice(camera, shift)
+        total = total + lattice.per_pixel(lattice.see(scene, what))
+        rays = rays + lattice.rays
+    return total / rays
+
+
+def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
+    """(H, W, 3) what glossy surfaces mirror."""
+    total, rays = 0.0, 0.0
+    for shift in shifts:
+        lattice = Lattice(camera, shift)
+        # In the mirror scene only glossy surfaces are without a glow of their own.
+        glossy = lattice.see(mirror, "glow").max(axis=-1, keepdims=True) == 0
+        seen = lattice.see(mirror, "reflections")
+        total = total + lattice.per_pixel(np.where(glossy, seen, 0.0))
+        rays = rays + lattice.rays
+    return total / rays
 
 
 def openness(points: np.ndarray, actors: list[Actor], time: float) -> np.ndarray:

@@ -55,8 +55,8 @@ class World:
         if self._stage is None:
             still = MeshBuilder()
             add_ground(still, self._street, keyed_rng(self.name, "ground"))
-            add_buildings(still, self._street, keyed_rng(self.name, "buildings"))
-            add_furniture(still, self._street, keyed_rng(self.name, "furniture"))
+            gardens = add_buildings(still, self._street, keyed_rng(self.name, "buildings"))
+            add_furniture(still, self._street, gardens, keyed_rng(self.name, "furniture"))
             for actor in self.actors:
                 if not actor.moving:
                     actor.add_to(still, 0.0)
@@ -167,9 +167,7 @@ class Source:
             points = scan(scenes.lit, pose, self._azimuths, rng)
             yield Frame(frame, frame * INTERVAL, cameras, images, points)
 
-    def _render_truth(
-        self, world: World, views: Sequence[tuple[Camera, int]]
-    ) -> Iterator[Truth]:
+    def _render_truth(self, world: World, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
         current, scenes = None, None
         for camera, frame in views:
             if frame != current:

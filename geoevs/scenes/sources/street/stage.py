@@ -17,7 +17,7 @@ from geoevs.scenes.sources.street.light import Light
 from geoevs.scenes.sources.street.mesh import Surface, face_normals
 
 SECTORS = 8  # compass directions that tell the ambient light of textured walls apart
-SKY_SIZE = (64, 128)
+SKY_SIZE = (384, 768)
 
 
 @cache
@@ -50,9 +50,9 @@ class Stage:
                 "type": "directional",
                 "direction": (-light.to_sun).tolist(),
                 "irradiance": _rgb(np.pi * light.sun),
-            }
+            },
+            "sky": mitsuba().load_dict(_sky(light)),
         }
-        self._sky = mitsuba().load_dict(_sky(light))
 
     def with_moving(self, surfaces: dict[str, Surface]) -> Scenes:
         """The scenes of an instant, given what moves."""
@@ -61,7 +61,7 @@ class Stage:
         load = mitsuba().load_dict
         return Scenes(
             lit=load({"type": "scene", **shapes[0], **self._lights}),
-            mirror=load({"type": "scene", **shapes[1], **self._lights, "sky": self._sky}),
+            mirror=load({"type": "scene", **shapes[1], **self._lights}),
         )
 
     def _meshes(self, group: str, surfaces: dict[str, Surface]) -> tuple[dict, dict]:
@@ -141,10 +141,12 @@ def _make_mesh(
         mesh.add_attribute(key, 3, value.astype(np.float32).ravel())
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = surface.corners.astype(np.float32).ravel()
-    parameters["vertex_normals"] = surface.normals.astype(np.float32).ravel()
     parameters["faces"] = np.arange(3 * count, dtype=np.uint32)
     if uv is not None:
         parameters["vertex_texcoords"] = uv.astype(np.float32).ravel()
+    parameters.update()
+    # New positions make Mitsuba compute its own normals, so ours come after them.
+    parameters["vertex_normals"] = surface.normals.astype(np.float32).ravel()
     parameters.update()
     return mesh
 

@@ -20,6 +20,7 @@ class Body:
 
     `hood` and `deck` are belt heights at the front and the rear; the cabin's four x positions are
     where the rear window meets the deck, the roof's rear and front ends, and the windscreen's foot.
+    `pillar` is the share of the side windows that the rear pillar takes.
     """
 
     length: float
@@ -30,13 +31,14 @@ class Body:
     deck: float
     cabin: tuple[float, float, float, float]
     wheel: float
+    pillar: float
 
 
 BODIES = (
-    Body(4.6, 1.82, 1.45, 0.92, 0.78, 0.90, (-1.75, -1.00, 0.35, 1.20), 0.33),  # saloon
-    Body(4.1, 1.78, 1.50, 0.94, 0.80, 0.92, (-1.98, -1.55, 0.25, 1.10), 0.32),  # hatchback
-    Body(4.7, 1.90, 1.72, 1.08, 0.96, 1.06, (-2.25, -1.80, 0.40, 1.15), 0.37),  # SUV
-    Body(5.0, 1.95, 2.00, 1.15, 1.02, 1.13, (-2.45, -2.30, 1.00, 1.85), 0.35),  # van
+    Body(4.6, 1.82, 1.45, 0.92, 0.78, 0.90, (-1.75, -1.00, 0.35, 1.20), 0.33, 0.12),  # saloon
+    Body(4.1, 1.78, 1.50, 0.94, 0.80, 0.92, (-1.98, -1.55, 0.25, 1.10), 0.32, 0.16),  # hatchback
+    Body(4.7, 1.90, 1.72, 1.08, 0.96, 1.06, (-2.25, -1.80, 0.40, 1.15), 0.37, 0.2),  # SUV
+    Body(5.0, 1.95, 2.00, 1.15, 1.02, 1.13, (-2.45, -2.30, 1.00, 1.85), 0.35, 0.3),  # van
 )
 
 
@@ -54,8 +56,8 @@ def make_car(rng: np.random.Generator) -> tuple[MeshBuilder, Body]:
 
 def _add_hull(car: MeshBuilder, body: Body, paint: np.ndarray) -> None:
     half, rear, front = body.width / 2, -body.length / 2, body.length / 2
-    x = np.array([rear, rear + 0.08, rear + 0.45, body.cabin[0], body.cabin[3], front - 0.5,
-                  front - 0.12, front])  # fmt: skip
+    stations = (rear, rear + 0.06, rear + 0.22, -0.9, body.cabin[3], front - 0.5, front - 0.12)
+    x = np.array([*stations, front])
     narrow = np.array([0.86, 0.95, 1.0, 1.0, 1.0, 0.98, 0.90, 0.80])
     belt = np.array([body.deck - 0.12, body.deck - 0.03, body.deck, body.belt, body.belt,
                      body.hood, body.hood - 0.07, body.hood - 0.18])  # fmt: skip
@@ -90,13 +92,14 @@ def _add_cabin(car: MeshBuilder, body: Body, paint: np.ndarray) -> None:
     lid = np.column_stack([lid, np.full(4, roof - 0.05)])
     sides = np.stack([base, np.roll(base, -1, 0), np.roll(lid, -1, 0), lid], axis=1)
     car.quads("glass", sides, GLASS)
-    for quad in sides:  # pillars and window lines on the glass
+    rear = body.pillar
+    posts = ([(0.0, rear), (0.47, 0.51), (0.965, 1.0)], [(0.0, 0.05), (0.95, 1.0)])
+    mirrored = [(1 - b, 1 - a) for a, b in posts[0]]
+    # Right side, windscreen, left side, rear window: pillars lie a little above the glass.
+    for quad, strips in zip(sides, (posts[0], posts[1], mirrored, posts[1]), strict=True):
         normal = np.cross(quad[1] - quad[0], quad[3] - quad[0])
         lift = 0.006 * normal / np.linalg.norm(normal)
-        posts = [(0.0, 0.06), (0.94, 1.0)]
-        if np.linalg.norm(quad[1] - quad[0]) > 2:
-            posts += [(0.47, 0.52)]
-        for a, b in posts:
+        for a, b in strips:
             span = [(1 - t) * quad[0] + t * quad[1] for t in (a, b)]
             over = [(1 - t) * quad[3] + t * quad[2] for t in (b, a)]
             car.quads("paint", (np.array(span + over) + lift)[None], paint)
