@@ -22,6 +22,7 @@ from geoevs.scenes.sources.street.stage import Scenes, Stage
 from geoevs.scenes.sources.street.traffic import make_actors, make_tracks
 
 INTERVAL = 0.1  # seconds between frames
+KEPT_INSTANTS = 8  # about 40 MB each
 MOST_FRAMES = 60  # after which the ego would come near the end of its street
 
 
@@ -42,9 +43,17 @@ class World:
         self.ego = Ego(self._street, keyed_rng(name, "ego").uniform(8, 12))
         self.actors = make_actors(self._street, self.ego.speed, keyed_rng(name, "actors"))
         self._stage: Stage | None = None
+        self._instants: dict[int, Scenes] = {}
 
     def at(self, frame: int) -> Scenes:
-        """The Mitsuba scenes of a frame."""
+        """The Mitsuba scenes of a frame; the last few are kept, for callers that go to and fro."""
+        if frame not in self._instants:
+            if len(self._instants) == KEPT_INSTANTS:
+                self._instants.pop(next(iter(self._instants)))
+            self._instants[frame] = self._build_instant(frame)
+        return self._instants[frame]
+
+    def _build_instant(self, frame: int) -> Scenes:
         moving = MeshBuilder()
         for actor in self.actors:
             if actor.moving:
@@ -168,10 +177,8 @@ class Source:
             yield Frame(frame, frame * INTERVAL, cameras, images, points)
 
     def _render_truth(self, world: World, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
-        current, scenes = None, None
         for camera, frame in views:
-            if frame != current:
-                current, scenes = frame, world.at(frame)
+            scenes = world.at(frame)
             rgb = self._render(world, scenes, camera, frame, "truth")
             yield Truth(rgb, render_depth(scenes, camera))
 
