@@ -14,8 +14,8 @@ PACKAGES = ("geoevs", "baselines")
 def code_hash(*modules: str) -> str:
     """Hash the code of `modules` and of the project's modules that they import, however deep.
 
-    Comments and formatting do not count; modules found by name at run time (plugins) must be
-    named.
+    The YAML files beside a module count with it. Comments and formatting do not count; modules
+    found by name at run time (plugins) must be named.
     """
     reached: set[str] = set()
     waiting = list(modules)
@@ -27,6 +27,9 @@ def code_hash(*modules: str) -> str:
     digest = hashlib.sha256()
     for module in sorted(reached):
         digest.update(f"{module}\n{ast.dump(_tree(module))}\n".encode())
+    folders = {_path(module).parent for module in reached}
+    for data in sorted(path for folder in folders for path in folder.glob("*.yaml")):
+        digest.update(f"{data.name}\n".encode() + data.read_bytes())
     return digest.hexdigest()[:16]
 
 

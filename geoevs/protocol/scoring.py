@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from geoevs.errors import GeoEvsError
 from geoevs.io import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.metrics import METRICS
@@ -86,6 +87,11 @@ def score_method(
     outcomes = read_outcomes(renders / "render.json")
     rows = []
     for target in read_targets(evidence.targets):
+        if target.sources not in outcomes:
+            raise GeoEvsError(
+                f"{renders / 'render.json'} has no outcome for {target.sources}; delete its "
+                "folder and rerun"
+            )
         outcome = outcomes[target.sources]
         failed = outcome["status"] == FAILED
         preds = None if failed else to_float(read_image(renders / f"{target.key}.png"))

@@ -54,8 +54,8 @@ def table_grid(
         references = References(run / layout.REFERENCES.format(**where))
         truth = run / layout.TRUTH.format(**where)
         targets = read_targets(run / layout.TARGETS.format(**where))
-        shown = [target for target in targets if target.split == split]
-        for target, keep in _pick(table, shown, keeps):
+        candidates = [target for target in targets if target.split == split]
+        for target, keep in _pick(table, candidates, keeps):
             dense = dense_truth(store, truth, target)
             evidence = [None if dense is None else to_uint8(dense)]
             if not target.recorded:

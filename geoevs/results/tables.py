@@ -98,7 +98,8 @@ def make_table(
     Returns:
         Columns `dataset`, `group` (paper, method or control), `method`, `variant`, `bin` for
         breakdowns, `<metric>_paper` where the paper has it, `<metric>`, `<metric>_low` and
-        `<metric>_high` for every metric, `n`, `failed`, `below_floor` and `note`.
+        `<metric>_high` for every metric, `n` and `failed` (views with a value of the first metric,
+        and views without a render), `below_floor` (metrics that the floor beats) and `note`.
 
     Raises:
         GeoEvsError: there is no such table, or the rows come from different protocols.

@@ -134,7 +134,7 @@ def _leaves(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
     front = np.stack(
         [middle - long * side, middle - wide * up, middle + long * side, middle + wide * up], axis=1
     )
-    back = front[:, ::-1] - 0.006 * normal[:, None]
+    back = front[:, ::-1] - 0.001 * normal[:, None]
     light = (0.75 + 0.45 * (reach - 0.78) / 0.34) * (0.9 + 0.1 * out[:, 2:])
     return np.concatenate([front, back]), np.concatenate([light, light])
 

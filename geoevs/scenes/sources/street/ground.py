@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Path, Street
+from geoevs.scenes.sources.street.layout import CORNER_RADIUS, KERB_HEIGHT, Path, Street
 from geoevs.scenes.sources.street.mesh import MeshBuilder
 
 WHITE, YELLOW = (0.62, 0.62, 0.60), (0.62, 0.43, 0.07)
@@ -40,7 +40,11 @@ def _add_crossing(builder: MeshBuilder, street: Street) -> None:
     _strip(builder, "asphalt", main, _whole(main), -half, half, 0.0)
     for span in ((cross.first, -half), (half, cross.last)):
         _strip(builder, "asphalt", cross, span, -half, half, 0.0)
-    walk, gap = 5.2, 3.2  # kerb radius plus a little; length of a zebra
+    # The rounded corners of the blocks leave road outside the two bands: asphalt lies a little
+    # under everything there.
+    wide = half + CORNER_RADIUS + 1
+    _strip(builder, "asphalt", main, (at - wide, at + wide), -wide, wide, -0.02)
+    walk, gap = CORNER_RADIUS + 0.2, 3.2  # from the junction to the zebra; length of a zebra
     arms = (
         (main, (main.first, at - half - walk - gap - 1.0), at - half - walk - gap / 2, -1),
         (main, (at + half + walk + gap + 1.0, main.last), at + half + walk + gap / 2, 1),

@@ -8,6 +8,7 @@ import numpy as np
 REACH_BEHIND, REACH_AHEAD = 60.0, 150.0  # metres of street around the start
 STEP = 0.25
 KERB_HEIGHT = 0.14
+CORNER_RADIUS = 5.0  # of kerbs at a junction
 DETAIL_CENTRE, DETAIL_RADIUS = np.array([15.0, 0.0]), 38.0
 LAYOUTS = ("straight", "curve", "junction")
 
@@ -163,7 +164,7 @@ def _street_kerbs(path: Path, half: float) -> tuple[KerbLine, ...]:
 
 def _corner(crossing_at: float, half: float, x_side: int, y_side: int) -> KerbLine:
     """The kerb around one of a junction's four blocks."""
-    radius, legs, arc = 5.0, 40, 8
+    radius, legs, arc = CORNER_RADIUS, 40, 8
     reach_x = (REACH_AHEAD - crossing_at if x_side > 0 else crossing_at + REACH_BEHIND) - half
     reach_y = 110.0 - half
 

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 SHOULDER = 0.55  # display-linear value above which highlights roll off
 CLOUD_TILE = 256
+EXPOSURE = 0.23  # display-linear value of a sunlit grey street
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,10 @@ class Light:
 
 # elevation (degrees), sun colour, sky at the zenith and horizon, ambient level, cloud cover, haze
 MOODS = (
-    ((44, 60), (2.3, 2.15, 1.95), (0.16, 0.32, 0.72), (0.62, 0.76, 0.95), 0.30, (0.1, 0.5), 900),
-    ((28, 40), (2.3, 1.95, 1.55), (0.18, 0.33, 0.68), (0.75, 0.80, 0.88), 0.28, (0.2, 0.6), 700),
-    ((20, 27), (2.2, 1.60, 1.00), (0.22, 0.34, 0.62), (0.95, 0.83, 0.68), 0.26, (0.2, 0.6), 500),
-    ((32, 50), (1.2, 1.15, 1.08), (0.50, 0.58, 0.70), (0.82, 0.86, 0.90), 0.46, (0.6, 0.9), 450),
+    ((44, 60), (2.3, 2.15, 1.95), (0.22, 0.43, 0.95), (0.90, 1.06, 1.25), 0.38, (0.1, 0.5), 1200),
+    ((28, 40), (2.3, 1.95, 1.55), (0.23, 0.41, 0.84), (0.95, 1.00, 1.07), 0.37, (0.2, 0.6), 900),
+    ((20, 27), (2.2, 1.60, 1.00), (0.26, 0.40, 0.72), (1.05, 0.93, 0.78), 0.36, (0.2, 0.6), 750),
+    ((32, 50), (1.2, 1.15, 1.08), (0.50, 0.58, 0.70), (0.82, 0.86, 0.90), 0.46, (0.6, 0.9), 900),
 )
 
 
@@ -122,7 +123,7 @@ def make_light(rng: np.random.Generator) -> Light:
         cloud_cover=rng.uniform(*covers),
         clouds=_clouds(rng),
         skyline=_skyline(rng),
-        exposure=rng.uniform(0.9, 1.15) * 0.25 / grey_lit,
+        exposure=rng.uniform(0.9, 1.15) * EXPOSURE / grey_lit,
         haze_distance=haze * rng.uniform(0.8, 1.3),
     )
 

@@ -15,13 +15,20 @@ class Surface(NamedTuple):
     uv: np.ndarray  # [T, 3, 2] metres on the surface
 
 
+def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(N, 3) cross products; many times faster than NumPy's for the few rows of a box or a tube."""
+    a, b, c = first.T
+    d, e, f = second.T
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
+
+
 def face_normals(corners: np.ndarray) -> np.ndarray:
     """(N, 3) unit normals of (N, K, 3) polygons with K >= 3."""
     across = corners[:, 2] - corners[:, 0]
     if corners.shape[1] == 4:
-        normals = np.cross(across, corners[:, 3] - corners[:, 1])
+        normals = cross(across, corners[:, 3] - corners[:, 1])
     else:
-        normals = np.cross(corners[:, 1] - corners[:, 0], across)
+        normals = cross(corners[:, 1] - corners[:, 0], across)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
@@ -86,7 +93,7 @@ class MeshBuilder:
         for finish, parts in self._parts.items():
             whole = Surface(*(np.concatenate(field) for field in zip(*parts, strict=True)))
             first, second = (whole.corners[:, i] - whole.corners[:, 0] for i in (1, 2))
-            solid = np.linalg.norm(np.cross(first, second), axis=1) > 1e-9
+            solid = np.linalg.norm(cross(first, second), axis=1) > 1e-9
             merged[finish] = Surface(*(field[solid] for field in whole))
         return merged
 

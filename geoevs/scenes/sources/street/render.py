@@ -40,7 +40,7 @@ class Lattice:
         ends = [np.append(self._first[i][1:], count[i]) for i in (0, 1)]
         self.rays = np.outer(ends[1] - self._first[1], ends[0] - self._first[0])[..., None]
         centre = camera.K[:2, 2] / step - shift + 0.5
-        self._sensor = _make_sensor(camera, focal.max(), count, centre / count - 0.5)
+        self._sensor = _make_sensor(camera, focal.max(), count, 0.5 - centre / count)
 
     def see(self, scene: Any, what: str) -> np.ndarray:
         """(h, w, 3) what each ray of the lattice brings back; `what` is one of INTEGRATORS."""
@@ -58,6 +58,7 @@ class Lattice:
 
 
 def _make_sensor(camera: Camera, focal: float, count: np.ndarray, offset: np.ndarray) -> Any:
+    """`offset` is where the middle of the film lies from the principal point, in film widths."""
     mi = mitsuba()
     opencv = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's x is left, its y is up
     return mi.load_dict(
@@ -136,29 +137,35 @@ def render_image(
         samples: rays a pixel.
         rng: where in the pixels the rays go.
     """
-    mirrored, shaded = -(-samples // 4), -(-samples // 6)  # dimmer or smoother: fewer rays
-    lit = _average(scenes.lit, camera, "lit", lattice_shifts(samples, rng))
-    glow = _average(scenes.lit, camera, "glow", lattice_shifts(shaded, rng))
+    lit, glow_share = _lit(scenes.lit, camera, lattice_shifts(samples, rng))
     middle = Lattice(camera, np.array([0.5, 0.5]))
     distance = middle.per_pixel(middle.see(scenes.lit, "distance")) / middle.rays
     distance = distance[..., :1]
 
     rays = pixel_rays(camera)
     points = camera.centre + distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    radiance = lit - glow * (1 - openness(points, actors, time))[..., None]
+    radiance = lit * (1 - glow_share * (1 - openness(points, actors, time))[..., None])
+    mirrored = -(-samples // 4)  # reflections are dim, so fewer rays do
     radiance += _reflections(scenes.mirror, camera, lattice_shifts(mirrored, rng))
     haze = 1 - np.exp(-distance / light.haze_distance)
     return light.develop(radiance + (light.horizon - radiance) * haze)
 
 
-def _average(scene: Any, camera: Camera, what: str, shifts: np.ndarray) -> np.ndarray:
-    """(H, W, 3) mean of what rays at all the (N, 2) shifts bring back."""
-    total, rays = 0.0, 0.0
-    for shift in shifts:
+def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) radiance under sun and ambient light, and the share that is ambient light.
+
+    The share varies little, so every sixth lattice decides it; comparing the same rays makes it
+    exactly 1 in the shade.
+    """
+    total, rays, glow, whole = 0.0, 0.0, 0.0, 0.0
+    for number, shift in enumerate(shifts):
         lattice = Lattice(camera, shift)
-        total = total + lattice.per_pixel(lattice.see(scene, what))
-        rays = rays + lattice.rays
-    return total / rays
+        seen = lattice.per_pixel(lattice.see(scene, "lit"))
+        total, rays = total + seen, rays + lattice.rays
+        if number % 6 == 0:
+            glow = glow + lattice.per_pixel(lattice.see(scene, "glow"))
+            whole = whole + seen
+    return total / rays, glow / np.maximum(whole, 1e-9)
 
 
 def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
@@ -175,8 +182,8 @@ def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
 
 
 def openness(points: np.ndarray, actors: list[Actor], time: float) -> np.ndarray:
-    """(...) share of the sky that cars and pedestrians leave to (..., 3) points on the ground."""
-    share = np.ones(points.shape[:-1])
+    """(...) share of the sky that reaches (..., 3) points past houses, cars and pedestrians."""
+    share = 1 - 0.25 * np.exp(-np.maximum(points[..., 2], 0) / 3.0)  # streets are darker below
     ground = points[..., 2] < 0.25
     below = points[ground]
     left = np.ones(len(below))
@@ -190,6 +197,6 @@ def openness(points: np.ndarray, actors: list[Actor], time: float) -> np.ndarray
         outside = np.hypot(np.maximum(along, 0), np.maximum(aside, 0))
         inside = np.minimum(np.maximum(along, aside), 0)
         reach = 0.3 * actor.size[2]
-        left[near] *= 1 - 0.75 * np.exp(-outside / reach) * (1 - 0.25 * np.exp(2 * inside))
-    share[ground] = left
+        left[near] *= 1 - 0.85 * np.exp(-outside / reach) * (1 - 0.25 * np.exp(2 * inside))
+    share[ground] *= left
     return share

@@ -1,0 +1,164 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geoevs.adapter import Budget
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_image, read_json, write_json
+from geoevs.protocol.entries import MethodEntry, read_outcomes
+from geoevs.protocol.render_step import render_step
+from geoevs.protocol.runs import fit_method, render_method
+
+BUDGET = Budget(seconds=None, threads=1)
+
+
+@pytest.fixture
+def attempt(stage, tmp_path):
+    """Fits and renders a method on one split's targets of frame 0; gives both outcomes."""
+
+    def run(method: str, *splits: str, evidence=None):
+        targets = stage.keep(tmp_path / "targets.json", *(splits or ("extrapolation",)))
+        entry, scene, log = MethodEntry(method), stage.folder / "scene", tmp_path / "fit.log"
+        fit_method(entry, scene, targets, BUDGET, tmp_path / "model", log)
+        folders = (tmp_path / "model", targets, evidence or {}, tmp_path / "renders")
+        render_method(entry, *folders, tmp_path / "render.log")
+        names = ("model/fit.json", "renders/render.json")
+        return tuple(read_json(tmp_path / name) for name in names)
+
+    return run
+
+
+def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
+    fits, renders = attempt(toy("good"), "interpolation", "extrapolation")
+    assert list(fits) == list(renders) == ["all-cameras", "front-side"]
+    for sources in fits:
+        fit, render = fits[sources], renders[sources]
+        assert fit["status"] == render["status"] == "ok"
+        assert fit["stage"] == fit["reason"] == fit["log"] == ""
+        assert (render["primitives"], render["parameters"], render["note"]) == (3, 2, "toy")
+        assert render["bytes"] == 5  # what its save wrote
+        assert (tmp_path / "model" / sources / "model/value").read_bytes() == b"12345"
+        assert 0 <= render["fit_seconds"] < 10
+        assert 0 < render["render_seconds"] < 10
+        assert render["peak_memory"] >= fit["peak_memory"] > 10e6
+    images = sorted(path.relative_to(tmp_path / "renders") for path in tmp_path.rglob("*.png"))
+    assert len(images) == 5  # interpolation, and two sides times two shifts
+    for image in images:
+        pixels = read_image(tmp_path / "renders" / image)
+        assert pixels.shape == (48, 72, 3)
+        assert (pixels == 128).all()  # 0.5 * 255, rounded to even
+
+
+# Where the method breaks: lines of fit, render or load; the stage, and the reason's start.
+FAILURES = {
+    "fit raises": ({"fit": "raise KeyError('oops')"}, "fit", "KeyError: 'oops'"),
+    "fit leaves": ({"fit": "os._exit(0)"}, "fit", "the process ended by itself with exit code 0"),
+    "undeclared": ({"fit": "views.lidar(0)"}, "fit", "the method reads lidar without declaring"),
+    "load raises": ({"load": "raise OSError('gone')"}, "render", "OSError: gone"),
+    "render crashes": (
+        {"render": "os.kill(os.getpid(), signal.SIGSEGV)"},
+        "render",
+        "the process was killed by SIGSEGV",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FAILURES)
+def test_a_failing_method_is_a_status_with_stage_reason_and_log(toy, attempt, tmp_path, kind):
+    lines, stage, reason = FAILURES[kind]
+    fits, renders = attempt(toy("bad", **lines))
+    outcome = renders["all-cameras"]
+    assert (outcome["status"], outcome["stage"]) == ("failed", stage)
+    assert outcome["reason"].startswith(reason)
+    assert outcome["log"] == str(tmp_path / f"{stage}.log")
+    if stage == "fit":
+        assert fits == renders
+        assert not list(tmp_path.rglob("*.png"))
+    else:
+        assert fits["all-cameras"]["status"] == "ok"
+        assert outcome["fit_seconds"] == fits["all-cameras"]["fit_seconds"]
+    if not reason.startswith("the process"):
+        assert "Traceback" in (tmp_path / f"{stage}.log").read_text()
+
+
+def test_sources_fail_one_by_one(toy, attempt):
+    name = toy("half", fit="views.image('front', 0)")
+    _, renders = attempt(name, "interpolation", "extrapolation")
+    assert renders["all-cameras"]["status"] == "ok"
+    assert renders["front-side"]["status"] == "failed"
+    assert renders["front-side"]["reason"].startswith("camera 'front' is not a source of this")
+
+
+def test_a_method_that_does_not_exist_is_a_failure_too(attempt):
+    fits, renders = attempt("nothing")
+    assert fits["all-cameras"]["reason"].startswith("there is no method called 'nothing'; ")
+    assert renders == fits
+
+
+def test_a_second_fit_starts_a_new_log(toy, stage, tmp_path):
+    targets = stage.keep(tmp_path / "targets.json", "extrapolation")
+    (tmp_path / "log").write_text("of an earlier run\n")
+    entry, scene = MethodEntry(toy("loud", fit="print('fitted')")), stage.folder / "scene"
+    fit_method(entry, scene, targets, BUDGET, tmp_path / "model", tmp_path / "log")
+    assert (tmp_path / "log").read_text() == "fitted\n"
+
+
+# What one line of render does to the picture, and the sentence that refuses it.
+PICTURES = {
+    "wrong size": ("rgb = rgb[1:]", "(47, 72, 3), not (48, 72, 3)"),
+    "NaN": ("rgb[3, 4] = np.nan", "NaN or infinite pixels"),
+    "infinity": ("rgb[3, 4] = np.inf", "NaN or infinite pixels"),
+    "wide integers": ("rgb = (255 * rgb).astype(int)", "int64; give uint8, or floats in [0, 1]"),
+}
+
+
+@pytest.mark.parametrize("kind", PICTURES)
+def test_pictures_that_are_none_are_refused(toy, stage, tmp_path, kind):
+    line, sentence = PICTURES[kind]
+    targets = stage.keep(tmp_path / "targets.json", "interpolation")
+    name = toy(f"picture_{kind.replace(' ', '_')}", render=line).replace("_", "-")
+    with pytest.raises(GeoEvsError) as caught:
+        render_step(name, str(targets), "front-side", str(tmp_path), {}, str(tmp_path))
+    key = "interpolation-front/000000"
+    assert str(caught.value).startswith(f"target {key} was rendered ")
+    assert str(caught.value).endswith(sentence)
+
+
+@pytest.mark.parametrize("text", ["[]", '{"all-cameras": {"status": "ok"}}', "{"])
+def test_a_fit_of_the_wrong_shape_is_one_sentence(stage, tmp_path, text):
+    (tmp_path / "fit.json").write_text(text)
+    with pytest.raises(GeoEvsError, match=rf"^{tmp_path / 'fit.json'} (does not say|is not valid)"):
+        render_method(
+            MethodEntry("mean-colour"),
+            tmp_path,
+            stage.evidence.targets,
+            {},
+            tmp_path / "renders",
+            tmp_path / "log",
+        )
+    assert not (tmp_path / "renders").exists()
+
+
+def test_outcomes_survive_a_round_trip(tmp_path):
+    blank = dict.fromkeys(("status", "stage", "reason", "log"), "")
+    outcomes = {"all-cameras": {**blank, "peak_memory": 1, "gpu_memory": 0, "more": [1]}}
+    write_json(tmp_path / "fit.json", outcomes)
+    assert read_outcomes(tmp_path / "fit.json") == outcomes
+
+
+NAMES = st.from_regex(r"[a-z0-9]+(-[a-z0-9]+)*", fullmatch=True)
+
+
+@given(method=NAMES, variant=NAMES, seed=st.integers(0, 99))
+def test_names_say_method_and_variant(method, variant, seed):
+    entry = MethodEntry.parse(f"{method}.{variant}", {"a": 1}, seed)
+    assert (entry.method, entry.variant, entry.options) == (method, variant, {"a": 1})
+    assert entry == MethodEntry(method, variant, {"a": 1}, seed)
+
+
+def test_labels_by_hand():
+    labels = {
+        MethodEntry.parse(name, {}, seed).label: (name, seed)
+        for name, seed in [("a-b", 0), ("a-b", 2), ("a-b.fast", 0), ("a-b.fast", 2)]
+    }
+    assert list(labels) == ["a-b", "a-b.seed2", "a-b.fast", "a-b.fast.seed2"]

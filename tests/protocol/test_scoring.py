@@ -1,0 +1,213 @@
+import math
+
+import numpy as np
+import pytest
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import write_image, write_json
+from geoevs.protocol.entries import REFERENCE, MethodEntry
+from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.oracle import ReferenceCopy
+from geoevs.protocol.reference import SparseReference
+from geoevs.protocol.render_step import render_step
+from geoevs.protocol.rows import SCORE_TYPES, cost_frame, score_frame
+from geoevs.protocol.scoring import THINNED_METRICS, Evidence, cost_rows, regions, score_method
+from geoevs.protocol.targets import read_targets
+
+COMMON = {"dataset": "d", "scene": "s", "fingerprint": "f"}
+OK = {"status": "ok", "stage": "", "reason": "", "log": "", "peak_memory": 9, "gpu_memory": 0}
+FAILED = {**OK, "status": "failed", "stage": "fit", "reason": "no points", "log": "fit.log"}
+KEEPS = [1.0, 0.5]
+
+
+def reference(height=12, width=20, pixels=(), rank=(), footprint=None, reprojected=None):
+    """A sparse reference of one colour."""
+    count = len(pixels)
+    return SparseReference(
+        pixels=np.array(pixels, np.int64),
+        rgb=np.full((count, 3), 0.5, np.float32),
+        footprint=np.ones(count, bool) if footprint is None else np.array(footprint),
+        rank=np.array(rank if len(rank) else np.zeros(count), np.float32),
+        reprojected=np.zeros((height, width), bool) if reprojected is None else reprojected,
+    )
+
+
+def test_regions_by_hand():
+    reprojected = np.zeros((1, 5), bool)
+    reprojected[0, [1, 4]] = True
+    sparse = reference(1, 5, [0, 1, 3, 4], [0.0, 0.25, 0.5, 0.75], [1, 1, 0, 1], reprojected)
+    found = regions(sparse, np.ones((1, 5, 3)), keep=0.6)  # drops the last of the four
+    masks = {name: answer.mask.astype(int).tolist()[0] for name, answer in found.items()}
+    assert masks == {
+        "reference": [1, 1, 0, 1, 0],
+        "reference-new": [1, 0, 0, 1, 0],
+        "reference-footprint": [1, 1, 0, 0, 0],
+        "dense": [1, 1, 1, 1, 1],
+        "dense-new": [1, 0, 1, 1, 0],
+    }
+    assert {answer.support_ratio for answer in found.values()} == {0.6}
+    assert set(regions(sparse, None, 1.0)) == {"reference", "reference-new", "reference-footprint"}
+    recorded = regions(None, np.ones((1, 5, 3)), 1.0)
+    assert list(recorded) == ["dense"]
+    assert recorded["dense"].support_ratio == 1.0
+    assert regions(None, None, 1.0) == {}
+
+
+@pytest.fixture(scope="module")
+def renders(stage, tmp_path_factory):
+    """The reference's own renders, and one grey for all targets."""
+    folder = tmp_path_factory.mktemp("renders")
+    evidence = stage.evidence
+    paths = {"scene": evidence.scene, "references": evidence.references, "truth": evidence.truth}
+    paths = {name: str(path) for name, path in paths.items()}
+    for name in ("reference", "grey", "failed"):
+        outcome = FAILED if name == "failed" else OK
+        write_json(folder / name / "render.json", {"all-cameras": outcome, "front-side": OK})
+    for sources in ("all-cameras", "front-side"):
+        arguments = (str(evidence.targets), sources, "", paths, str(folder / "reference"))
+        render_step(REFERENCE, *arguments)
+    grey = np.full((48, 72, 3), 115, np.uint8)
+    for target in stage.targets:
+        for name in ("grey", "failed"):
+            write_image(folder / name / f"{target.key}.png", grey)
+    return folder
+
+
+def scored(stage, renders, name, evidence=None):
+    entry = MethodEntry(name, "v", {}, 4)
+    return score_frame(
+        score_method(entry, evidence or stage.evidence, renders / name, KEEPS, COMMON)
+    )
+
+
+def test_every_target_has_every_metric_that_it_can(stage, renders):
+    rows = scored(stage, renders, "grey")
+    assert list(rows.columns) == list(SCORE_TYPES)
+    main = rows[rows["stressor"] == ""]
+    dense = {"psnr", "ssim", "mae"}
+    for target in stage.targets:
+        mine = main[(main["target"] == target.camera.name) & (main["frame"] == target.frame)]
+        expected = dense if target.recorded else set(METRICS)
+        assert len(mine) == len(expected)
+        assert set(mine["metric"]) == expected
+        assert (mine["split"] == target.split).all()
+        assert mine["pose_offset"].unique() == [pytest.approx(target.pose_offset)]
+        assert mine["lateral_shift"].unique() == [target.lateral_shift]
+        assert mine["level"].isna().all()
+    assert (rows["method"] + rows["variant"] == "greyv").all()
+    assert (rows["seed"] == 4).all()
+    assert all((rows[name] == value).all() for name, value in COMMON.items())
+
+
+def test_thinned_rows_are_of_extrapolation_alone(stage, renders):
+    rows = scored(stage, renders, "grey")
+    thinned = rows[rows["stressor"] == "reference-thinning"]
+    extrapolated = [target for target in stage.targets if target.split == "extrapolation"]
+    assert len(thinned) == len(THINNED_METRICS) * len(extrapolated) == 4 * 8
+    assert (thinned["split"] == "extrapolation").all()
+    assert (thinned["level"] == 0.5).all()
+    full = rows[(rows["stressor"] == "") & rows["metric"].isin(THINNED_METRICS)]
+    pair = thinned.merge(full, on=["frame", "target", "metric"], suffixes=("", "_full"))
+    halves = pair[pair["metric"] != "sparse_ssim"]
+    np.testing.assert_allclose(halves["valid_pixels"], halves["valid_pixels_full"] / 2, atol=0.5)
+    np.testing.assert_allclose(pair["support_ratio"] * 48 * 72, pair["valid_pixels"])
+
+
+def test_the_reference_reaches_what_8_bits_allow(stage, renders):
+    best, worst = (scored(stage, renders, name) for name in ("reference", "grey"))
+    # Rounding to 1 / 255 errs by at most half of it: 20 log10(2 * 255) = 54.2 dB at worst.
+    for metric in ("sparse_psnr", "sparse_psnr_new", "sparse_psnr_footprint"):
+        values = best[best["metric"] == metric]["value"]
+        assert values.min() > 55
+        assert worst[worst["metric"] == metric]["value"].max() < 25
+    recorded = best[(best["metric"] == "psnr") & (best["split"] == "observed")]
+    assert (recorded["value"] == math.inf).all()
+    assert best[best["metric"] == "sparse_ssim"]["value"].min() > 0.999
+
+
+def test_a_failed_render_is_rows_that_say_so(stage, renders):
+    rows, fine = scored(stage, renders, "failed"), scored(stage, renders, "grey")
+    assert len(rows) == len(fine)
+    failed = rows["split"] != "interpolation"  # those came from other sources
+    assert (rows["status"] == "failed").equals(failed)
+    assert rows[failed]["value"].isna().all()
+    for column in ("stage", "reason", "log"):
+        assert rows[failed][column].unique().tolist() == [FAILED[column]]
+        assert rows[~failed][column].unique().tolist() == [""]
+    same = ["frame", "target", "metric", "valid_pixels", "support_ratio"]
+    assert rows[same].equals(fine[same])
+
+
+def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
+    class NoPoints:
+        def __init__(self, path):
+            pass
+
+        def __getitem__(self, key):
+            return reference(48, 72)
+
+    monkeypatch.setattr("geoevs.protocol.scoring.References", NoPoints)
+    rows = scored(stage, renders, "grey")
+    sparse = rows["metric"].str.startswith("sparse")
+    assert (rows[sparse]["status"] == "empty-mask").all()
+    assert rows[sparse]["value"].isna().all()
+    assert (rows[sparse][["valid_pixels", "support_ratio"]] == 0).all(axis=None)
+    assert (rows[~sparse]["status"] == "ok").all()
+
+
+def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders, tmp_path):
+    evidence = Evidence(
+        stage.evidence.scene, stage.evidence.targets, stage.evidence.references, tmp_path
+    )
+    rows = scored(stage, renders, "grey", evidence)
+    virtual = rows[rows["split"].isin(["extrapolation", "pose-sweep"])]
+    assert virtual["metric"].str.startswith("sparse").all()
+    assert set(rows[rows["split"] == "interpolation"]["metric"]) == {"psnr", "ssim", "mae"}
+
+
+def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):
+    evidence = stage.evidence
+    oracle = ReferenceCopy(str(evidence.scene), str(evidence.references), str(tmp_path))
+    target = next(target for target in stage.targets if target.split == "extrapolation")
+    rgb = oracle.render(target).rgb
+    black = (rgb == 0).all(axis=-1)
+    assert 0.01 < 1 - black.mean() < 0.9
+
+
+def test_a_missing_render_is_named(stage, renders, tmp_path):
+    write_json(tmp_path / "grey/render.json", {"all-cameras": OK, "front-side": OK})
+    with pytest.raises(GeoEvsError, match=r"grey/front/000000\.png is missing"):
+        scored(stage, tmp_path, "grey")
+
+
+def test_renders_of_other_sources_are_named(stage, tmp_path):
+    write_json(tmp_path / "grey/render.json", {"all-cameras": FAILED})
+    with pytest.raises(GeoEvsError, match=r"render\.json has no outcome for front-side"):
+        scored(stage, tmp_path, "grey")
+
+
+@pytest.mark.parametrize("text", ["3", '[{"split": "observed"}]', "[1]", '{"a": 1}'])
+def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
+    (tmp_path / "targets.json").write_text(text)
+    with pytest.raises(GeoEvsError, match=r"targets\.json is no target list .*; delete it and"):
+        read_targets(tmp_path / "targets.json")
+
+
+def test_costs_by_hand(tmp_path):
+    spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
+    outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
+    write_json(tmp_path / "render.json", outcomes)
+    place = {"dataset": "d", "scene": "s"}
+    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, 2, place))
+    fine, failed = rows.to_dict("records")
+    assert fine == {
+        **place,
+        **{"method": "m", "variant": "v", "seed": 1, "sources": "all-cameras"},
+        **{"fit_seconds": 2.0, "render_seconds": 0.5, "peak_memory": 9, "gpu_memory": 5},
+        **{"primitives": 3, "parameters": 0, "bytes": 7, "device": "cuda", "threads": 2},
+        **{"note": "n", "status": "ok", "stage": "", "reason": "", "log": ""},
+    }
+    assert (failed["status"], failed["reason"], failed["log"]) == ("failed", "no points", "fit.log")
+    assert math.isnan(failed["fit_seconds"])
+    assert math.isnan(failed["render_seconds"])
+    assert failed["device"] == "cpu"

@@ -1,0 +1,49 @@
+"""Score rows by hand, and a run's folder of the tiny scene."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.io import write_image
+from geoevs.protocol.reference import make_references, write_references
+from geoevs.protocol.rows import SCORE_TYPES, score_frame
+from geoevs.protocol.targets import make_targets, write_targets
+from geoevs.scenes.tiny import write_tiny_scene
+
+PLACE = {"dataset": "d", "scene": "s"}
+PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0, 20.0], "every": 2}}
+
+
+@pytest.fixture
+def rows():
+    """Makes score rows; what is not said is an extrapolation row of one frame that went well."""
+
+    def make(*changes: dict) -> pd.DataFrame:
+        blank = {"string": "", "int64": 0, "float64": math.nan}
+        usual = {name: blank[kind] for name, kind in SCORE_TYPES.items()} | {
+            **PLACE,
+            **{"split": "extrapolation", "method": "mine", "variant": "default"},
+            **{"metric": "sparse_psnr", "value": 20.0, "status": "ok", "fingerprint": "f"},
+            **{"support_ratio": 0.01, "pose_offset": 1.0},
+        }
+        return score_frame([{**usual, **change} for change in changes])
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory):
+    """A run with the tiny scene and grey renders of `grey`; without truth."""
+    folder = tmp_path_factory.mktemp("run")
+    store = write_tiny_scene(folder / layout.SCENE.format(**PLACE))
+    targets = make_targets(store, PROTOCOL)
+    write_targets(folder / layout.TARGETS.format(**PLACE), targets)
+    references = make_references(store, targets, np.random.default_rng(0))
+    write_references(folder / layout.REFERENCES.format(**PLACE), references)
+    renders = folder / layout.RENDERS.format(label="grey", **PLACE)
+    for target in targets:
+        write_image(renders / f"{target.key}.png", np.full((48, 72, 3), 99, np.uint8))
+    return folder

@@ -1,0 +1,109 @@
+import math
+
+import pandas as pd
+import pytest
+
+from geoevs.protocol.entries import FAILED
+from geoevs.results.costs import cost_markdown, make_cost_table
+from geoevs.results.formats import LEGEND, to_latex, to_markdown
+from geoevs.results.tables import TableSpec
+
+SPEC = TableSpec("A title", "observed", ("psnr", "mae"), paper_only=("fid",))
+NONE = dict.fromkeys(("mae", "mae_low", "mae_high", "fid", "fid_low", "fid_high"), math.nan)
+TABLE = pd.DataFrame(
+    [
+        {
+            **{"dataset": "d_1", "group": "paper", "method": "geo-evs", "variant": "default"},
+            **{"psnr_paper": 23.4, "psnr": 24.126, "psnr_low": 23.0, "psnr_high": 25.0},
+            **{**NONE, "fid_paper": 3.9, "n": 4, "failed": 0, "below_floor": "", "note": ""},
+        },
+        {
+            **{"dataset": "d_1", "group": "control", "method": "mean-colour", "variant": "v"},
+            **{"psnr_paper": math.nan, "psnr": math.inf, "psnr_low": 1.0, "psnr_high": math.inf},
+            **{**NONE, "fid_paper": math.nan, "mae": 0.1236, "n": 0, "failed": 1},
+            **{"below_floor": "mae", "note": "50% & more"},
+        },
+    ]
+)
+
+
+def test_markdown_by_hand():
+    assert to_markdown(SPEC, TABLE) == (
+        "# A title\n\n## d_1\n\n"
+        "| method | psnr ↑ paper | psnr ↑ | mae ↓ | fid ↓ paper | fid ↓ | n | note |\n"
+        "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
+        "| Geo-EVS | 23.40 | 24.13 [23.00, 25.00] |  | 3.90 |  | 4 |  |\n"
+        "| *mean-colour (v)* |  | ∞ | 0.124 ▼ |  |  |  | 50% & more |\n\n" + LEGEND
+    )
+
+
+# One line of the header is broken here.
+LATEX = r"""% A title
+
+% d_1
+\begin{tabular}{lccccccc}
+\toprule
+method & psnr $\uparrow$ paper & psnr $\uparrow$ & mae $\downarrow$ & fid $\downarrow$ paper &
+ fid $\downarrow$ & n & note \\
+\midrule
+Geo-EVS & 23.40 & 24.13 [23.00, 25.00] &  & 3.90 &  & 4 &  \\
+\midrule
+mean-colour (v) &  & $\infty$ & 0.124 $\blacktriangledown$ &  &  &  & 50\% \& more \\
+\bottomrule
+\end{tabular}
+"""
+
+
+def test_latex_by_hand():
+    assert to_latex(SPEC, TABLE) == LATEX.replace("&\n", "&")
+
+
+def test_a_column_without_paper_or_value_is_left_out():
+    bare = TABLE.drop(columns=["psnr_paper", "fid_paper"])
+    header = to_markdown(SPEC, bare.assign(mae=math.nan)).splitlines()[4]
+    assert header == "| method | psnr ↑ | n | note |"
+
+
+def test_bins_have_their_column_and_data_sets_their_own_tables():
+    spec = TableSpec("T", "pose-sweep", ("sparse_psnr",), bins="pose_offset", edges="pose_bins")
+    values = {"sparse_psnr": 20.0, "sparse_psnr_low": math.nan, "sparse_psnr_high": math.nan}
+    usual = {"group": "method", "method": "m", "variant": "default", "bin": "0-5", **values}
+    rest = {"n": 1, "failed": 0, "below_floor": "", "note": ""}
+    table = pd.DataFrame([{"dataset": name, **usual, **rest} for name in ("b", "a")])
+    text = to_markdown(spec, table)
+    assert text.index("## b") < text.index("## a")
+    assert text.count("| m | 0-5 | 20.00 | 1 |  |") == 2
+    latex = to_latex(spec, table)
+    assert latex.count(r"method & bin & sparse\_psnr $\uparrow$ & n & note \\") == 2
+    assert latex.count(r"\midrule") == 2  # below each header; one group each
+
+
+@pytest.fixture
+def costs():
+    usual = {
+        **{"dataset": "d", "method": "mine", "variant": "default", "sources": "all-cameras"},
+        **{"status": "ok", "fit_seconds": 1.0, "render_seconds": 0.5, "peak_memory": 3_000_000},
+        **{"gpu_memory": 0, "primitives": 10, "parameters": 0, "bytes": 2_000_000},
+        **{"device": "cpu", "threads": 2},
+    }
+    return lambda *changes: pd.DataFrame([{**usual, **change} for change in changes])
+
+
+def test_costs_are_means_of_what_went_well(costs):
+    broken = {"status": FAILED, "fit_seconds": math.nan, "peak_memory": 0, "bytes": 0}
+    made = make_cost_table(
+        costs({}, {"fit_seconds": 3.0}, broken, {"sources": "front-side", "fit_seconds": 99.0})
+    )
+    (row,) = made.to_dict("records")
+    assert (row["fit_seconds"], row["render_seconds"]) == (2.0, 0.5)
+    assert (row["peak_memory_mb"], row["size_mb"], row["primitives"]) == (3.0, 2.0, 10.0)
+    assert (row["n"], row["failed"], row["device"], row["threads"]) == (2, 1, "cpu", 2)
+
+
+def test_costs_of_a_method_that_always_fails_are_empty(costs):
+    broken = {"status": FAILED, "method": "mean-colour", "fit_seconds": math.nan}
+    text = cost_markdown(make_cost_table(costs({}, broken)))
+    assert text.splitlines()[-2:] == [
+        "| mine | 1 | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
+        "| *mean-colour* |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
+    ]

@@ -1,0 +1,75 @@
+import json
+import platform
+
+import numpy as np
+import pytest
+
+from geoevs.errors import GeoEvsError
+from geoevs.results import manifest
+from geoevs.results.manifest import hash_path, make_manifest
+
+CONFIG = {"seed": 3, "run": "a"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "scene/lidar").mkdir(parents=True)
+    (tmp_path / "scene/a").write_text("bc")
+    (tmp_path / "scene/lidar/b").write_text("d")
+    return tmp_path / "scene"
+
+
+def test_it_says_what_the_run_was_made_of(folder):
+    made = make_manifest(CONFIG, [folder, folder / "a"])
+    assert made["config"] == CONFIG
+    assert made["seed"] == 3
+    assert list(made["inputs"]) == [str(folder), str(folder / "a")]
+    # printf bc | sha256sum
+    assert made["inputs"][str(folder / "a")].startswith("1e0bbd6c686ba050")
+    assert made["versions"]["numpy"] == np.__version__
+    assert made["versions"]["python"] == platform.python_version()
+    assert made["machine"]["cores"] >= 1
+    assert made["machine"]["memory_bytes"] > 1e8
+    assert made["commit"]
+
+
+def test_the_same_run_gives_the_same_bytes(folder):
+    texts = {json.dumps(make_manifest(CONFIG, [folder])) for _ in range(2)}
+    assert len(texts) == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda folder: (folder / "lidar/b").write_text("e"),
+        lambda folder: (folder / "lidar/c").write_text(""),
+        lambda folder: (folder / "lidar/b").unlink(),
+        lambda folder: (folder / "a").rename(folder / "lidar/a"),
+        lambda folder: ((folder / "a").unlink(), (folder / "ab").write_text("c")),
+    ],
+    ids=["content", "new file", "deleted", "moved", "name instead of content"],
+)
+def test_any_change_of_an_input_changes_its_hash(folder, change):
+    before = hash_path(folder)
+    change(folder)
+    assert hash_path(folder) != before
+
+
+def test_where_a_folder_lies_does_not_count(folder):
+    before = hash_path(folder)
+    assert hash_path(folder.rename(folder.with_name("moved"))) == before
+
+
+def test_a_missing_input_is_named(tmp_path):
+    with pytest.raises(GeoEvsError, match=r"gone is missing; make it before the manifest$"):
+        make_manifest(CONFIG, [tmp_path / "gone"])
+
+
+def test_a_missing_package_is_said(monkeypatch):
+    monkeypatch.setattr(manifest, "PACKAGES", ("no-such-package",))
+    assert make_manifest(CONFIG, [])["versions"]["no-such-package"] == "not installed"
+
+
+def test_without_git_there_is_no_commit(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert make_manifest(CONFIG, [])["commit"] == "git is not installed"

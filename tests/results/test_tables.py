@@ -1,0 +1,176 @@
+import math
+
+import pytest
+
+from geoevs.errors import GeoEvsError
+from geoevs.results.tables import bin_labels, display_name, is_control, make_table
+
+PROTOCOL = {"pose_bins": [0, 5, 10], "support_bins": [0, 0.02, 0.1]}
+SETTINGS = {"resamples": 100, "confidence": 0.95}
+PAPER = ["3dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]
+
+
+@pytest.fixture
+def table(rows):
+    def make(name, *changes):
+        return make_table(name, rows(*changes), PROTOCOL, SETTINGS)
+
+    return make
+
+
+def one(table, **where):
+    for column, value in where.items():
+        table = table[table[column] == value]
+    (row,) = table.to_dict("records")
+    return row
+
+
+def test_the_paper_comes_first_then_methods_then_controls(table):
+    made = table(
+        "extrapolation",
+        *[{"method": name} for name in ("reproject", "reference", "zeta", "geo-evs", "alpha")],
+    )
+    assert made["method"].tolist() == [*PAPER, "zeta", "alpha", "reproject", "reference"]
+    assert made["group"].tolist() == ["paper"] * 5 + ["method"] * 2 + ["control"] * 2
+    assert is_control("reference")
+    assert not is_control("zeta")
+
+
+def test_paper_and_measured_stand_side_by_side(table):
+    made = table(
+        "extrapolation",
+        {"method": "geo-evs", "value": 1.5},
+        {"method": "geo-evs", "variant": "v1", "value": 2.5},
+        {"method": "zeta", "metric": "psnr"},
+    )
+    paper = [name for name in made if name.endswith("_paper")]
+    assert paper == ["sparse_psnr_paper", "sparse_ssim_paper"]
+    ours = one(made, method="geo-evs", variant="default")
+    assert (ours["sparse_psnr_paper"], ours["sparse_psnr"]) == (23.65, 1.5)
+    assert (ours["sparse_ssim_paper"], ours["n"]) == (0.941, 1)
+    variant = one(made, method="geo-evs", variant="v1")
+    assert math.isnan(variant["sparse_psnr_paper"])
+    assert variant["sparse_psnr"] == 2.5
+    missing = one(made, method="3dgs")
+    assert missing["sparse_psnr_paper"] == 19.84
+    assert math.isnan(missing["sparse_psnr"])
+    assert missing["note"] == "not run"
+
+
+def test_only_the_tables_split_counts(table):
+    made = table(
+        "interpolation",
+        {"split": "interpolation", "metric": "ssim", "value": 0.5},
+        {"split": "observed", "metric": "ssim", "value": 0.9, "frame": 1},
+        {"split": "extrapolation", "metric": "ssim", "value": 0.1, "frame": 2},
+    )
+    row = one(made, method="mine")
+    assert (row["ssim"], row["n"], row["note"]) == (0.5, 1, "")
+    assert "lpips_paper" in made
+    assert made["lpips"].isna().all()
+
+
+def test_worse_than_the_floor_in_either_direction(table):
+    floor = {"method": "mean-colour", "split": "interpolation"}
+    made = table(
+        "interpolation",
+        {**floor, "metric": "psnr", "value": 20.0},
+        {**floor, "metric": "mae", "value": 0.1},
+        {**floor, "metric": "psnr", "value": 90.0, "variant": "other"},
+        *[
+            {"method": method, "split": "interpolation", "metric": metric, "value": value}
+            for method, metric, value in [
+                ("worse", "psnr", 19.9),
+                ("worse", "mae", 0.11),
+                ("better", "psnr", 20.1),
+                ("better", "mae", 0.09),
+                ("equal", "psnr", 20.0),
+                ("equal", "mae", 0.1),
+                ("mixed", "psnr", 25.0),
+                ("mixed", "mae", 0.2),
+                ("broken", "psnr", math.nan),
+            ]
+        ],
+    )
+    flags = made.set_index("method")["below_floor"]
+    assert set(flags["worse"].split()) == {"psnr", "mae"}
+    assert flags[["better", "equal", "mixed", "broken"]].tolist() == ["", "", "mae", ""]
+    assert (flags["mean-colour"] == "").all()
+
+
+def test_bins_are_half_open(table):
+    made = table(
+        "pose_offset",
+        *[
+            {"split": "pose-sweep", "pose_offset": angle, "value": angle, "frame": frame}
+            for frame, angle in enumerate([0.0, 4.9, 5.0, 9.9, 10.0])
+        ],
+    )
+    mine = made[made["method"] == "mine"]
+    assert mine["bin"].tolist() == bin_labels(PROTOCOL["pose_bins"]) == ["0-5", "5-10"]
+    assert mine["sparse_psnr"].tolist() == pytest.approx([(0 + 4.9) / 2, (5 + 9.9) / 2])
+    assert mine["n"].tolist() == [2, 2]
+    paper = made[made["method"] == "geo-evs"]
+    assert paper["sparse_psnr_paper"].tolist() == [24.17, 23.8]
+
+
+def test_thinned_rows_fill_the_sparsity_table_alone(table):
+    changes = (
+        {"value": 20.0, "support_ratio": 0.05},
+        {"value": 30.0, "support_ratio": 0.01, "stressor": "reference-thinning", "level": 0.2},
+        {"value": 90.0, "support_ratio": 0.01, "stressor": "something-else", "level": 1.0},
+    )
+    assert one(table("extrapolation", *changes), method="mine")["sparse_psnr"] == 20.0
+    sparsity = table("sparsity", *changes)
+    mine = sparsity[sparsity["method"] == "mine"].set_index("bin")["sparse_psnr"]
+    assert mine.to_dict() == {"0-0.02": 30.0, "0.02-0.1": 20.0}
+
+
+def test_failures_are_noted(table):
+    failed = {"status": "failed", "value": math.nan}
+    other = {"method": "b", **failed}
+    made = table("extrapolation", {}, {"frame": 1}, {"frame": 2, **failed}, other)
+    row = one(made, method="mine")
+    assert (row["n"], row["failed"], row["note"]) == (2, 1, "failed on 1 of 3 views")
+    assert one(made, method="b")["note"] == "failed on 1 of 1 views"
+
+
+def test_not_run_is_said_of_each_data_set_and_variant(table):
+    made = table(
+        "extrapolation",
+        {"dataset": "one", "method": "geo-evs", "variant": "v1"},
+        {"dataset": "two", "method": "mine"},
+        {"dataset": "two", "method": "late", "split": "observed"},
+    )
+    assert made["dataset"].unique().tolist() == ["one", "two"]
+    found = made.set_index(["dataset", "method", "variant"])["note"].to_dict()
+    notes = {key: note for key, note in found.items() if key[1] in ("geo-evs", "mine")}
+    assert len(notes) == 2 * 3
+    assert [key for key, note in notes.items() if note == ""] == [
+        ("one", "geo-evs", "v1"),
+        ("two", "mine", "default"),
+    ]
+    assert {note for note in notes.values() if note} == {"not run"}
+    assert one(made, dataset="two", method="late")["note"] == "no view here"
+
+
+def test_a_split_that_the_run_lacks_gives_an_empty_table(table):
+    made = table("pose_offset", {})
+    assert made[made["method"] == "mine"]["note"].tolist() == ["no view here"] * 2
+    assert made["sparse_psnr"].isna().all()
+
+
+def test_different_protocols_are_refused(table):
+    with pytest.raises(GeoEvsError, match="come from different protocols"):
+        table("extrapolation", {}, {"fingerprint": "g"})
+
+
+def test_unknown_tables_are_named(table):
+    with pytest.raises(GeoEvsError, match=r"^there is no table 'sparse'; did you mean 'sparsity'"):
+        table("sparse", {})
+
+
+def test_names_are_the_papers():
+    assert display_name("3dgs", "default") == "3DGS"
+    assert display_name("geo-evs", "v2") == "Geo-EVS (v2)"
+    assert display_name("mine", "default") == "mine"

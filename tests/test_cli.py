@@ -1,0 +1,137 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from geoevs.cli import main as cli
+from geoevs.scenes.tiny import write_tiny_scene
+
+
+@pytest.fixture
+def geoevs(monkeypatch, capsys):
+    """Runs the command in this process; gives exit code, standard output and standard error."""
+
+    def run(*arguments: object):
+        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
+        monkeypatch.setattr(cli, "_log", None)
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_without_arguments_it_shows_its_commands():
+    command = [sys.executable, "-m", "geoevs.cli.main"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    shown = run.stdout + run.stderr
+    for name in ("scene", "targets", "fit", "render", "score", "table", "check-adapter"):
+        assert f" {name} " in shown
+    assert "Traceback" not in shown
+
+
+def test_an_unknown_command_is_named(geoevs):
+    code, _, errors = geoevs("scor")
+    assert code == 2
+    assert "No such command 'scor'" in errors
+
+
+def test_a_mistake_is_one_line_and_exit_code_1(geoevs, tmp_path):
+    code, output, errors = geoevs(
+        *("targets", "--scene", tmp_path / "none", "--protocol", "{}", "--out", tmp_path / "t")
+    )
+    scene = tmp_path / "none" / "scene.json"
+    assert (code, output) == (1, "")
+    assert errors == f"error: {scene} is missing; make or copy it there\n"
+
+
+def test_the_log_keeps_the_traceback(geoevs, tmp_path):
+    log = tmp_path / "logs" / "a.log"
+    _, _, errors = geoevs("--log", log, "failures", tmp_path)
+    # A folder is no Parquet file.
+    assert errors.startswith(f"error: {tmp_path} is not whole (")
+    assert errors.count("\n") == 1
+    assert log.read_text().startswith(f"{errors}\nTraceback")
+
+
+def test_a_fault_of_ours_says_where_its_traceback_is(geoevs, tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr("geoevs.protocol.targets.make_targets", fail)
+    scene = write_tiny_scene(tmp_path / "tiny").folder
+    arguments = ("targets", "--scene", scene, "--protocol", "{}", "--out", tmp_path / "t")
+    code, _, errors = geoevs(*arguments)
+    start = "internal error: ZeroDivisionError: two lines ("
+    assert code == 1
+    assert errors == f"{start}repeat it as `geoevs --log FILE ...` for the traceback)\n"
+    _, _, errors = geoevs("--log", tmp_path / "log", *arguments)
+    assert errors == f"{start}see {tmp_path / 'log'})\n"
+    assert "Traceback" in (tmp_path / "log").read_text()
+
+
+def test_a_log_that_cannot_be_written_is_the_error(geoevs, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, errors = geoevs("--log", tmp_path / "file" / "log", "failures", tmp_path / "none")
+    assert code == 1
+    assert errors.startswith(f"error: cannot write {tmp_path / 'file' / 'log'} (")
+
+
+def test_a_log_of_a_good_run_is_empty(geoevs, tmp_path):
+    code, output, errors = geoevs("--log", tmp_path / "log", "failures", tmp_path / "none")
+    assert (code, output, errors) == (0, "", "")
+    assert (tmp_path / "log").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("frames=8", "--protocol is not JSON (Expecting value: line 1 column 1 (char 0)); write "),
+        ("{", "--protocol is not JSON ("),
+        ("[1]", "--protocol is [1]; write a JSON object, such as '{\"steps\": 100}'"),
+    ],
+)
+def test_options_that_are_not_json_are_one_sentence(geoevs, tmp_path, text, sentence):
+    scene = write_tiny_scene(tmp_path / "tiny").folder
+    code, _, errors = geoevs(
+        *("targets", "--scene", scene, "--protocol", text, "--out", tmp_path / "targets.json")
+    )
+    assert code == 1
+    assert errors.startswith(f"error: {sentence}")
+    assert not (tmp_path / "targets.json").exists()
+
+
+def test_an_unknown_table_is_named(geoevs, tmp_path):
+    settings = ("--protocol", "{}", "--settings", "{}", "--out", tmp_path / "t")
+    code, _, errors = geoevs("table", "interpolate", "--scores", tmp_path / "none", *settings)
+    assert code == 1
+    assert errors.startswith("error: there is no table 'interpolate'; did you mean 'interpolation'")
+
+
+def test_a_scene_without_its_data_set_is_named(geoevs, tmp_path):
+    arguments = ("--run", tmp_path, "--labels", "a", "--keeps", "[1.0]", "--out", tmp_path / "o")
+    code, _, errors = geoevs("grid", "observed", "--scenes", "101", *arguments)
+    assert code == 1
+    assert errors == "error: --scenes 101 is not of the form DATASET/SCENE; name both\n"
+
+
+def test_a_stage_writes_what_the_next_one_reads(geoevs, tmp_path):
+    scene = write_tiny_scene(tmp_path / "tiny").folder
+    protocol = {"lateral": [1.0], "pose_sweep": {"angles": [], "every": 1}}
+    targets = tmp_path / "targets.json"
+    code, _, errors = geoevs(
+        *("targets", "--scene", scene, "--protocol", json.dumps(protocol), "--out", targets)
+    )
+    assert (code, errors) == (0, "")
+    # Two frames of three cameras, one interpolation and one shift to either side.
+    assert len(json.loads(targets.read_text())) == 2 * (3 + 1 + 2)
+    code, _, errors = geoevs(
+        *("references", "--scene", scene, "--targets", targets, "--out", tmp_path / "r.npz")
+    )
+    assert (code, errors) == (0, "")
+    assert (tmp_path / "r.npz").stat().st_size > 1000

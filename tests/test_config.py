@@ -1,0 +1,245 @@
+import copy
+from pathlib import Path
+
+import pytest
+import yaml
+
+import baselines
+from geoevs.config import check_config, check_syntax, method_entries
+from geoevs.errors import GeoEvsError
+
+PROJECT = Path(__file__).parents[1]
+SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
+VALID = """\
+run: test
+seed: 3
+resolution: [48, 72]
+evaluate: [real]
+datasets:
+  real:
+    source: pandaset
+    options: {folder: there}
+    partitions:
+      train: ["001", "002@0-9"]
+      test: ["002@10-19"]
+protocol:
+  lateral: [-1, 1]
+  pose_sweep: {angles: [5], every: 2}
+  pose_bins: [0, 10]
+  support_bins: [0, 0.1]
+  reference_keep: [1.0, 0.5]
+budget: {fit_seconds: null}
+methods:
+  reference: {}
+  reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}
+  mean-colour: null
+tables: {resamples: 100, confidence: 0.95}
+"""
+
+
+@pytest.fixture
+def check(tmp_path):
+    """Checks the valid config after some text of it was replaced."""
+
+    def run(old: str, new: str) -> None:
+        assert VALID.count(old) == 1
+        path = tmp_path / "config.yaml"
+        path.write_text(VALID.replace(old, new))
+        check_config(yaml.safe_load(path.read_text()), SCHEMA, [path])
+
+    return run
+
+
+def merged(*texts: str) -> dict:
+    """Configs put together as Snakemake does: deeply, the later one winning."""
+
+    def update(base, other):
+        for key, value in other.items():
+            if isinstance(value, dict) and isinstance(base.get(key), dict):
+                update(base[key], value)
+            else:
+                base[key] = copy.deepcopy(value)
+        return base
+
+    result = {}
+    for text in texts:
+        update(result, yaml.safe_load(text) or {})
+    return result
+
+
+def test_a_valid_config_passes(check):
+    check("seed: 3", "seed: 4")
+
+
+@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset"])
+def test_the_shipped_configs_pass(overlay):
+    files = [PROJECT / "config.yaml"]
+    if overlay:
+        files.append(PROJECT / f"workflow/scales/{overlay}.yaml")
+    check_config(merged(*(file.read_text() for file in files)), SCHEMA, files)
+
+
+MISTAKES = {
+    "unknown key": ("seed: 3", "seeed: 3", "2: 'seeed' is not a known key; did you mean 'seed'?"),
+    "unknown nested key": (
+        "  pose_bins: [0, 10]",
+        "  pose_bin: [0, 10]",
+        "15: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: lateral, ",
+    ),
+    "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
+    "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
+    "missing key": ("seed: 3\n", "", "the key 'seed' is missing at the top level; add it"),
+    "missing nested key": (
+        ", every: 2",
+        "",
+        "14: the key 'every' is missing under 'protocol.pose_sweep'; add it",
+    ),
+    "wrong type": ("seed: 3", "seed: three", "2: 'seed' is wrong: 'three' is not of type 'int"),
+    "no list": (
+        "[48, 72]",
+        "48",
+        "3: 'resolution' is wrong: 48 is not of type 'array' (it means: Height and width of ",
+    ),
+    "one size": ("[48, 72]", "[48]", "3: 'resolution' is wrong: [48] is too short (it means: "),
+    "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is less than the min"),
+    "null": ("confidence: 0.95", "confidence: null", "23: 'tables.confidence' is wrong: None"),
+    "a run that is a path": ("run: test", "run: ../a", "1: '../a' is not an allowed name; use "),
+    "a data set that is a path": (
+        "  real:\n",
+        "  ../real:\n",
+        "6: '../real' is not an allowed name; use lower case and hyphens",
+    ),
+    "a method in capitals": ("  reference:", "  Reference:", "20: 'Reference' is not an allowed"),
+    "unknown data set": (
+        "evaluate: [real]",
+        "evaluate: [reel]",
+        "4: there is no data set 'reel' under 'datasets'; did you mean 'real'? (one of: real)",
+    ),
+    "unknown source": (
+        "source: pandaset",
+        "source: panda",
+        "7: there is no data source called 'panda'; did you mean 'pandaset'?",
+    ),
+    "unknown source option": (
+        "{folder: there}",
+        "{foldr: there}",
+        "8: data source 'pandaset' has no option 'foldr'; did you mean 'folder'?",
+    ),
+    "missing source option": (
+        "{folder: there}",
+        "{}",
+        "8: data source 'pandaset' needs the option 'folder'; set it in its options",
+    ),
+    "unknown method": (
+        "  reference:",
+        "  refrence:",
+        "20: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
+    ),
+    "unknown method option": (
+        "{inpaint: fsr-best}",
+        "{inpant: fsr-best}",
+        "21: method 'reproject-inpaint.best' has no option 'inpant'; did you mean 'inpaint'?",
+    ),
+    "an option of the reference": (
+        "reference: {}",
+        "reference: {options: {a: 1}}",
+        "20: the control 'reference' has no options; remove them",
+    ),
+    "one label twice": (
+        "reference: {}",
+        "reproject.default: {}\n  reproject: {}",
+        "21: two entrants are called 'reproject.seed3'; rename one variant",
+    ),
+    "overlapping ranges": (
+        '"002@10-19"',
+        '"002@9-19"',
+        "9: data set 'real' has scene '002@0-9' in partition 'train' and '002@9-19' in 'test'; ",
+    ),
+    "a whole scene and a range of it": ('"002@10-19"', '"002"', "9: data set 'real' has scene "),
+    "an overlap within a partition": (
+        '"001", "002@0-9"',
+        '"001", "001@3-4"',
+        "9: data set 'real' has scene '001' in partition 'train' and '001@3-4' in 'train'; ",
+    ),
+    "a scene that leaves its folder": ('"002@10-19"', '".."', "9: scene '..' is not of the form"),
+    "a scene in another folder": ('"002@10-19"', '"a/b"', "9: scene 'a/b' is not of the form"),
+    "a number as scene": ('"002@10-19"', "2", "11: 'datasets.real.partitions.test.0' is wrong: 2"),
+    "no test scene": ('["002@10-19"]', "[]", "11: 'datasets.real.partitions.test' is wrong: []"),
+    "edges that fall": (
+        "pose_bins: [0, 10]",
+        "pose_bins: [0, 10, 5]",
+        "15: the edges must rise; sort them and drop repeats",
+    ),
+    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "16: the edges must rise"),
+    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "15: 'protocol.pose_bins' is wrong: [0]"),
+    "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
+    "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
+    "no time": ("fit_seconds: null", "fit_seconds: 0", "18: 'budget.fit_seconds' is wrong: 0 is"),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_is_one_sentence_with_its_line(check, tmp_path, kind):
+    old, new, sentence = MISTAKES[kind]
+    with pytest.raises(GeoEvsError) as caught:
+        check(old, new)
+    found = str(caught.value)
+    assert "\n" not in found
+    assert found.removeprefix(f"{tmp_path / 'config.yaml'}:").lstrip().startswith(sentence)
+
+
+def test_the_later_file_is_blamed_only_for_what_it_sets(tmp_path):
+    base, over, empty = (tmp_path / name for name in ("base.yaml", "over.yaml", "empty.yaml"))
+    base.write_text(VALID)
+    empty.write_text("# nothing\n")
+
+    def sentence(text: str) -> str:
+        over.write_text(text)
+        with pytest.raises(GeoEvsError) as caught:
+            check_config(merged(VALID, text), SCHEMA, [base, over, empty])
+        return str(caught.value)
+
+    assert sentence("\nprotocol:\n  pose_sweep: {every: 0}\n").startswith(f"{over}:3: 'protocol")
+    assert sentence("seed: x").startswith(f"{over}:1: 'seed' is wrong")
+    assert sentence("evaluate: [none]").startswith(f"{over}:1: there is no data set 'none'")
+    # Another source: its options are the base's, and wrong for it there.
+    street = sentence("datasets: {real: {source: street}}")
+    assert street.startswith(f"{base}:8: data source 'street' has no option 'folder'")
+
+
+def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
+    (tmp_path / "needy").mkdir()
+    (tmp_path / "needy/adapter.py").write_text("import no_such_package\n")
+    monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
+    with pytest.raises(GeoEvsError, match=r"method 'needy' cannot be imported \(No module named"):
+        check("reference: {}", "needy: {options: {a: 1}}")
+
+
+def test_entries_have_the_runs_seed_added_and_skip_null():
+    labels = [entry.label for entry in method_entries(yaml.safe_load(VALID))]
+    assert labels == [
+        "reference.seed3",
+        "reproject-inpaint.best.seed3",
+        "reproject-inpaint.best.seed5",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (b"a: 1\nb: [1\n", r":3: this is not YAML \(expected .*\); check brackets"),
+        (b"a: 1\nb: c: d\n", r":2: this is not YAML \(mapping values are not allowed here\)"),
+        (b"a: 1\n\tb: 2\n", r":2: this is not YAML \(found character '\\t'"),
+        (b"a: \x00", " is not plain UTF-8 text"),
+        (b"a: \xff", " is not plain UTF-8 text"),
+    ],
+)
+def test_a_file_that_is_not_yaml_is_one_sentence_with_its_line(tmp_path, text, sentence):
+    path = tmp_path / "config.yaml"
+    path.write_bytes(text)
+    with pytest.raises(GeoEvsError, match=f"^{path}{sentence}.*$"):
+        check_syntax(path)
+
+
+def test_a_config_that_is_not_there_is_left_to_snakemake(tmp_path):
+    check_syntax(tmp_path / "none.yaml")
