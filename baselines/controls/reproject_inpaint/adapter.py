@@ -1,4 +1,9 @@
-"""Reprojection whose holes are filled by classical inpainting."""
+"""Reprojection whose holes are filled by classical inpainting.
+
+Telea is the default: on 12 extrapolated views of procedural streets it fills holes as well as
+frequency-selective reconstruction (18.88 against 18.89 dB; 23.86 against 23.88 over all pixels) in
+a fiftieth of the time, 7 ms against 360 ms a view; see benchmarks/README.md.
+"""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +18,7 @@ from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, to_uint8, write_json
 from geoevs.scenes.camera import Camera
 
-# Pixels; OpenCV's own examples use 3 to 5.
-RADIUS = 3
+RADIUS = 5  # pixels; 3 loses 0.03 dB, 8 gains as much and takes longer
 
 CLASSICAL = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 FREQUENCY_SELECTIVE = {
