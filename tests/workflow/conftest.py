@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 PROJECT = Path(__file__).parents[2]
-SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml")
 
 
 class Workspace:
     """A folder in which snakemake runs the project's workflow, its results apart."""
+
+    SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml")
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -48,5 +49,5 @@ def smoke_run(tmp_path_factory):
     workspace = Workspace(tmp_path_factory.mktemp("smoke"))
     overlay = workspace.folder / "failing.yaml"
     overlay.write_text("methods: {external: {options: {folder: nowhere}}}\n")
-    run = workspace.snakemake(*SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    run = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "--", "tables", "breakdowns")
     return workspace, run

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import SMOKE
 
 from geoevs.io import read_image
 from geoevs.results.tables import TABLES
@@ -76,14 +75,16 @@ def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
 
 def test_a_second_call_has_nothing_to_do(smoke_run):
     workspace, _ = smoke_run
-    again = workspace.snakemake(*SMOKE, "failing.yaml", "-n", "--", "tables", "breakdowns")
+    again = workspace.snakemake(
+        *workspace.SMOKE, "failing.yaml", "-n", "--", "tables", "breakdowns"
+    )
     assert "Nothing to be done" in again.stdout + again.stderr
 
 
 def test_another_bootstrap_remakes_tables_alone(smoke_run):
     workspace, _ = smoke_run
     (workspace.folder / "other.yaml").write_text("tables: {resamples: 200}\n")
-    plan = workspace.snakemake(*SMOKE, "failing.yaml", "other.yaml", "-n", "--", "tables")
+    plan = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "other.yaml", "-n", "--", "tables")
     text = plan.stdout + plan.stderr
     assert "rule table:" in text
     for rule in ("scene", "fit", "render", "score", "truth", "references"):
@@ -93,7 +94,7 @@ def test_another_bootstrap_remakes_tables_alone(smoke_run):
 def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     finished, _ = smoke_run
     (workspace.folder / "failing.yaml").symlink_to(finished.folder / "failing.yaml")
-    arguments = (*SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    arguments = (*workspace.SMOKE, "failing.yaml", "--", "tables", "breakdowns")
     moments = random.Random(0)
     for _ in range(3):
         process = workspace.start(*arguments)
