@@ -75,16 +75,16 @@ def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
 
 def test_a_second_call_has_nothing_to_do(smoke_run):
     workspace, _ = smoke_run
-    again = workspace.snakemake(
-        *workspace.SMOKE, "failing.yaml", "-n", "--", "tables", "breakdowns"
-    )
+    targets = ("-n", "--", "tables", "breakdowns")
+    again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", *targets)
     assert "Nothing to be done" in again.stdout + again.stderr
 
 
 def test_another_bootstrap_remakes_tables_alone(smoke_run):
     workspace, _ = smoke_run
     (workspace.folder / "other.yaml").write_text("tables: {resamples: 200}\n")
-    plan = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "other.yaml", "-n", "--", "tables")
+    overlays = ("failing.yaml", "other.yaml")
+    plan = workspace.snakemake(*workspace.SMOKE, *overlays, "-n", "--", "tables")
     text = plan.stdout + plan.stderr
     assert "rule table:" in text
     for rule in ("scene", "fit", "render", "score", "truth", "references"):
@@ -109,12 +109,26 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     assert [name for name in found if found[name] != expected[name]] == []
 
 
+def refusal(run) -> str:
+    """What a run says that could not start; dry ones say it on standard output."""
+    assert run.returncode != 0
+    text = run.stdout + run.stderr
+    assert "Traceback" not in text
+    return text
+
+
 def test_a_wrong_key_is_one_sentence(workspace):
     (workspace.folder / "wrong.yaml").write_text("protocol:\n  pose_swep: {every: 2}\n")
     run = workspace.snakemake("--configfile", "config.yaml", "wrong.yaml", "-n")
-    assert run.returncode != 0
-    assert "wrong.yaml:2: 'pose_swep' is not a known key; did you mean 'pose_sweep'?" in run.stderr
-    assert "Traceback" not in run.stderr
+    sentence = "wrong.yaml:2: 'pose_swep' is not a known key; did you mean 'pose_sweep'?"
+    assert sentence in refusal(run)
+
+
+def test_a_config_that_is_not_yaml_is_one_sentence(workspace):
+    (workspace.folder / "config.yaml").unlink()
+    (workspace.folder / "config.yaml").write_text("run: smoke\nevaluate: [street\n")
+    sentence = "config.yaml:3: this is not YAML (expected ',' or ']'"
+    assert sentence in refusal(workspace.snakemake("-n"))
 
 
 @pytest.mark.skipif(
