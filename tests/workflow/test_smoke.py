@@ -113,8 +113,9 @@ def test_a_wrong_key_is_one_sentence(workspace):
     (workspace.folder / "wrong.yaml").write_text("protocol:\n  pose_swep: {every: 2}\n")
     run = workspace.snakemake("--configfile", "config.yaml", "wrong.yaml", "-n")
     assert run.returncode != 0
-    assert "wrong.yaml:2: 'pose_swep' is not a known key; did you mean 'pose_sweep'?" in run.stderr
-    assert "Traceback" not in run.stderr
+    said = run.stdout + run.stderr  # a dry run says everything on standard output
+    assert "wrong.yaml:2: 'pose_swep' is not a known key; did you mean 'pose_sweep'?" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.skipif(
