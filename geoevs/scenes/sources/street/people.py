@@ -10,7 +10,7 @@ CLOTHES = (
     (0.10, 0.22, 0.12), (0.50, 0.30, 0.06), (0.20, 0.26, 0.36), (0.52, 0.50, 0.48),
 )  # fmt: skip
 STRIDE = 1.4  # metres of two steps
-SIZE = (0.8, 0.62, 1.78)  # length, width, height of the box around a person of scale 1
+SIZE = (1.04, 0.62, 1.78)  # length, width, height of the box around a person of scale 1
 
 
 class Person:
@@ -25,7 +25,7 @@ class Person:
     def mesh(self, distance: float) -> MeshBuilder:
         """The person at the origin, facing +x, after walking `distance` metres."""
         body = MeshBuilder()
-        swing = 0.42 * np.sin(2 * np.pi * distance / STRIDE)
+        swing = 0.34 * np.sin(2 * np.pi * distance / STRIDE)
         for side in (-1, 1):
             self._leg(body, side * 0.09, side * swing)
             self._arm(body, side * 0.24, -side * 0.8 * swing)
