@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator, ValidationError
 from geoevs.adapter import find_methods, method_class
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.plugins import check_options
-from geoevs.protocol.entries import REFERENCE, MethodEntry
+from geoevs.protocol.entries import ORACLES, MethodEntry
 from geoevs.scenes.scene import SceneRef, source_class
 
 Key = tuple[str | int, ...]
@@ -166,7 +166,7 @@ def _check_partitions(dataset: str, partitions: Mapping[str, list[str]]) -> None
 
 
 def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
-    methods = [REFERENCE, *find_methods()]
+    methods = [*ORACLES, *find_methods()]
     labels = set()
     for entry in method_entries(config):
         name = entry.method if entry.variant == "default" else f"{entry.method}.{entry.variant}"
@@ -175,8 +175,8 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 raise GeoEvsError(
                     f"there is no method '{entry.method}'; {did_you_mean(entry.method, methods)}"
                 )
-            if entry.method == REFERENCE and entry.options:
-                raise GeoEvsError(f"the control '{REFERENCE}' has no options; remove them")
+            if entry.method in ORACLES and entry.options:
+                raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
             if entry.options:
                 check_options(f"method '{name}'", _imported(entry.method), entry.options)
             if entry.label in labels:

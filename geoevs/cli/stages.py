@@ -124,9 +124,11 @@ def render(
     targets: TargetFile,
     out: Out,
     method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
-    scene: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
-    references: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
-    truth: Annotated[str, typer.Option(help="For the reference control alone.")] = "",
+    scene: Annotated[str, typer.Option(help="For the controls reference and truth alone.")] = "",
+    references: Annotated[
+        str, typer.Option(help="For the controls reference and truth alone.")
+    ] = "",
+    truth: Annotated[str, typer.Option(help="For the controls reference and truth alone.")] = "",
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""
     from geoevs.protocol.entries import MethodEntry

@@ -7,8 +7,9 @@ from typing import Any
 from geoevs.errors import GeoEvsError
 from geoevs.io import read_json
 
-REFERENCE = "reference"
-"""The control that copies the reference. No adapter can see it, so it is none (see oracle)."""
+REFERENCE, TRUTH = "reference", "truth"
+ORACLES = (REFERENCE, TRUTH)
+"""Controls that copy what scores a method. No adapter can see that, so they are none."""
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 

@@ -12,8 +12,8 @@ from geoevs.adapter import Rendering, method_class
 from geoevs.errors import GeoEvsError
 from geoevs.io import to_uint8, write_image
 from geoevs.protocol.clock import synchronise
-from geoevs.protocol.entries import REFERENCE
-from geoevs.protocol.oracle import ReferenceCopy
+from geoevs.protocol.entries import ORACLES
+from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.targets import Target, read_targets
 
 
@@ -26,8 +26,8 @@ def render_step(
         method: its name.
         targets: the scene's target list.
         sources: the set of sources whose targets to render.
-        model: the saved method; unused by the reference control.
-        evidence: paths of the scene, references and truth; for the reference control alone.
+        model: the saved method; unused by oracles.
+        evidence: paths of the scene, references and truth; for oracles alone.
         folder: where `<target key>.png` go.
 
     Returns:
@@ -35,8 +35,8 @@ def render_step(
     """
     wanted = [target for target in read_targets(Path(targets)) if target.sources == sources]
     render: Callable[[Target], Rendering]
-    if method == REFERENCE:
-        render = ReferenceCopy(**evidence).render
+    if method in ORACLES:
+        render = Oracle(method, **evidence).render
     else:
         adapter = method_class(method).load(Path(model))
 

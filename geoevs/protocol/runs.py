@@ -11,7 +11,7 @@ from typing import Any
 
 from geoevs.adapter import Budget
 from geoevs.io import new_folder, write_json
-from geoevs.protocol.entries import FAILED, OK, REFERENCE, MethodEntry, read_outcomes
+from geoevs.protocol.entries import FAILED, OK, ORACLES, MethodEntry, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
 
@@ -26,7 +26,7 @@ def fit_method(
         for sources in _source_sets(targets):
             model = partial / sources / "model"
             model.mkdir(parents=True)
-            if entry.method == REFERENCE:
+            if entry.method in ORACLES:
                 outcomes[sources] = _succeeded({"fit_seconds": 0.0, "bytes": 0}, Usage(0, 0))
                 continue
             arguments = {

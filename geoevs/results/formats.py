@@ -9,7 +9,7 @@ from geoevs.results.tables import LOWER_IS_BETTER_IN_PAPER, TableSpec, display_n
 
 LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than the floor, the
-control mean-colour. ∞ = an exact copy. Empty = not run, or not measurable here.
+control mean-colour. ∞ = exact in some frame. Empty = not run, or not measurable here.
 """
 
 

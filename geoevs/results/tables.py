@@ -13,7 +13,7 @@ import yaml
 
 from geoevs.adapter import find_methods
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.protocol.entries import REFERENCE
+from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.scoring import THINNING
@@ -77,7 +77,7 @@ TABLES = {
     "sparsity": TableSpec(
         "By support ratio of the sparse reference (paper table 2, bottom right)",
         "extrapolation",
-        ("sparse_psnr", "sparse_ssim"),
+        ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill"),
         bins="support_ratio",
         edges="support_bins",
     ),
@@ -180,7 +180,7 @@ def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
 
 def is_control(method: str) -> bool:
     """Whether a method only marks a floor, a ceiling or a simple baseline."""
-    return method == REFERENCE or ".controls." in find_methods().get(method, "")
+    return method in ORACLES or ".controls." in find_methods().get(method, "")
 
 
 def _group(name: str, method: str) -> str:

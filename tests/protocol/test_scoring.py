@@ -7,7 +7,7 @@ from geoevs.errors import GeoEvsError
 from geoevs.io import write_image, write_json
 from geoevs.protocol.entries import REFERENCE, MethodEntry
 from geoevs.protocol.metrics import METRICS
-from geoevs.protocol.oracle import ReferenceCopy
+from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.render_step import render_step
 from geoevs.protocol.rows import SCORE_TYPES, cost_frame, score_frame
@@ -167,7 +167,7 @@ def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders,
 
 def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):
     evidence = stage.evidence
-    oracle = ReferenceCopy(str(evidence.scene), str(evidence.references), str(tmp_path))
+    oracle = Oracle(REFERENCE, str(evidence.scene), str(evidence.references), str(tmp_path))
     target = next(target for target in stage.targets if target.split == "extrapolation")
     rgb = oracle.render(target).rgb
     black = (rgb == 0).all(axis=-1)

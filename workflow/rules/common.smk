@@ -9,7 +9,7 @@ from geoevs.adapter import find_methods
 from geoevs.code_hash import code_hash
 from geoevs.config import check_config, method_entries
 from geoevs.errors import GeoEvsError
-from geoevs.protocol.entries import REFERENCE
+from geoevs.protocol.entries import ORACLES
 from geoevs.scenes.scene import find_sources
 from geoevs.results.tables import TABLES
 from snakemake.exceptions import WorkflowError
@@ -86,7 +86,7 @@ def method_code(step):
 
     def of(wildcards):
         method = ENTRIES[wildcards.label].method
-        modules = [] if method == REFERENCE else [find_methods()[method]]
+        modules = [] if method in ORACLES else [find_methods()[method]]
         return code_hash(
             f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules
         )
@@ -110,8 +110,8 @@ def budget_arguments(wildcards):
 
 
 def evidence(wildcards):
-    """What the reference control, and it alone, may look at."""
-    if ENTRIES[wildcards.label].method != REFERENCE:
+    """What the controls reference and truth, and they alone, may look at."""
+    if ENTRIES[wildcards.label].method not in ORACLES:
         return {}
     return {
         "scene": in_run(layout.SCENE),
