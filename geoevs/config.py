@@ -40,9 +40,9 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     _check_datasets(config, files)
     _check_methods(config, files)
     for name in ("pose_bins", "support_bins"):
-        edges = config["protocol"][name]
+        edges = config["tables"][name]
         if any(low >= high for low, high in itertools.pairwise(edges)):
-            where = _locate(("protocol", name), files)
+            where = _locate(("tables", name), files)
             raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
 
 

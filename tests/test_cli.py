@@ -107,7 +107,7 @@ def test_options_that_are_not_json_are_one_sentence(geoevs, tmp_path, text, sent
 
 
 def test_an_unknown_table_is_named(geoevs, tmp_path):
-    settings = ("--protocol", "{}", "--settings", "{}", "--out", tmp_path / "t")
+    settings = ("--settings", "{}", "--out", tmp_path / "t")
     code, _, errors = geoevs("table", "interpolate", "--scores", tmp_path / "none", *settings)
     assert code == 1
     assert errors.startswith("error: there is no table 'interpolate'; did you mean 'interpolation'")

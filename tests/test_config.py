@@ -25,15 +25,17 @@ datasets:
 protocol:
   lateral: [-1, 1]
   pose_sweep: {angles: [5], every: 2}
-  pose_bins: [0, 10]
-  support_bins: [0, 0.1]
   reference_keep: [1.0, 0.5]
 budget: {fit_seconds: null}
 methods:
   reference: {}
   reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}
   mean-colour: null
-tables: {resamples: 100, confidence: 0.95}
+tables:
+  pose_bins: [0, 10]
+  support_bins: [0, 0.1]
+  resamples: 100
+  confidence: 0.95
 """
 
 
@@ -84,7 +86,7 @@ MISTAKES = {
     "unknown nested key": (
         "  pose_bins: [0, 10]",
         "  pose_bin: [0, 10]",
-        "15: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: lateral, ",
+        "22: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: confidence, ",
     ),
     "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
     "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
@@ -102,14 +104,14 @@ MISTAKES = {
     ),
     "one size": ("[48, 72]", "[48]", "3: 'resolution' is wrong: [48] is too short (it means: "),
     "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is less than the min"),
-    "null": ("confidence: 0.95", "confidence: null", "23: 'tables.confidence' is wrong: None"),
+    "null": ("confidence: 0.95", "confidence: null", "25: 'tables.confidence' is wrong: None"),
     "a run that is a path": ("run: test", "run: ../a", "1: '../a' is not an allowed name; use "),
     "a data set that is a path": (
         "  real:\n",
         "  ../real:\n",
         "6: '../real' is not an allowed name; use lower case and hyphens",
     ),
-    "a method in capitals": ("  reference:", "  Reference:", "20: 'Reference' is not an allowed"),
+    "a method in capitals": ("  reference:", "  Reference:", "18: 'Reference' is not an allowed"),
     "unknown data set": (
         "evaluate: [real]",
         "evaluate: [reel]",
@@ -133,22 +135,22 @@ MISTAKES = {
     "unknown method": (
         "  reference:",
         "  refrence:",
-        "20: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
+        "18: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
     ),
     "unknown method option": (
         "{inpaint: fsr-best}",
         "{inpant: fsr-best}",
-        "21: method 'reproject-inpaint.best' has no option 'inpant'; did you mean 'inpaint'?",
+        "19: method 'reproject-inpaint.best' has no option 'inpant'; did you mean 'inpaint'?",
     ),
     "an option of the reference": (
         "reference: {}",
         "reference: {options: {a: 1}}",
-        "20: the control 'reference' has no options; remove them",
+        "18: the control 'reference' has no options; remove them",
     ),
     "one label twice": (
         "reference: {}",
         "reproject.default: {}\n  reproject: {}",
-        "21: two entrants are called 'reproject.seed3'; rename one variant",
+        "19: two entrants are called 'reproject.seed3'; rename one variant",
     ),
     "overlapping ranges": (
         '"002@10-19"',
@@ -168,13 +170,13 @@ MISTAKES = {
     "edges that fall": (
         "pose_bins: [0, 10]",
         "pose_bins: [0, 10, 5]",
-        "15: the edges must rise; sort them and drop repeats",
+        "22: the edges must rise; sort them and drop repeats",
     ),
-    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "16: the edges must rise"),
-    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "15: 'protocol.pose_bins' is wrong: [0]"),
+    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "23: the edges must rise"),
+    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "22: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
-    "no time": ("fit_seconds: null", "fit_seconds: 0", "18: 'budget.fit_seconds' is wrong: 0 is"),
+    "no time": ("fit_seconds: null", "fit_seconds: 0", "16: 'budget.fit_seconds' is wrong: 0 is"),
 }
 
 

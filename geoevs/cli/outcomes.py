@@ -39,7 +39,6 @@ def collect(
 def table(
     name: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
     scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    protocol: Config,
     settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
 ) -> None:
@@ -49,8 +48,7 @@ def table(
     from geoevs.results.tables import make_table, table_spec
 
     spec = table_spec(name)
-    bins, bootstrap = parse_json("--protocol", protocol), parse_json("--settings", settings)
-    made = make_table(name, _rows(scores), bins, bootstrap)
+    made = make_table(name, _rows(scores), parse_json("--settings", settings))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(spec, made))
     write_text(out.with_suffix(".tex"), to_latex(spec, made))

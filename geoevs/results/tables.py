@@ -35,7 +35,7 @@ class TableSpec:
         metrics: measured columns, the paper's first.
         paper_only: columns of the paper that need weights this suite does not ship.
         bins: the row column that splits it, or none.
-        edges: the config key, under `protocol`, of the bins' edges.
+        edges: the config key, under `tables`, of the bins' edges.
     """
 
     title: str
@@ -84,15 +84,12 @@ TABLES = {
 }
 
 
-def make_table(
-    name: str, scores: pd.DataFrame, protocol: dict[str, Any], settings: dict[str, Any]
-) -> pd.DataFrame:
+def make_table(name: str, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
     """One table: a row for every data set, method and bin, paper and measured columns.
 
     Args:
         name: one of TABLES.
         scores: score rows.
-        protocol: the config's section, for the bins' edges.
         settings: the config's `tables` section.
 
     Returns:
@@ -106,10 +103,10 @@ def make_table(
     """
     spec = table_spec(name)
     check_fingerprints(scores)
-    rows = _table_rows(spec, scores, protocol)
+    rows = _table_rows(spec, scores, settings)
     by = ["dataset", "method", "variant", "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
-    bins = bin_labels(protocol[spec.edges]) if spec.bins else [""]
+    bins = bin_labels(settings[spec.edges]) if spec.bins else [""]
     ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
@@ -156,7 +153,7 @@ def _paper() -> dict[str, Any]:
     )
 
 
-def _table_rows(spec: TableSpec, scores: pd.DataFrame, protocol: dict[str, Any]) -> pd.DataFrame:
+def _table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
     rows = scores[(scores["split"] == spec.split) & scores["metric"].isin(spec.metrics)]
     wanted = (rows["stressor"] == "") | (
         (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
@@ -164,8 +161,9 @@ def _table_rows(spec: TableSpec, scores: pd.DataFrame, protocol: dict[str, Any])
     rows = rows[wanted]
     if not spec.bins:
         return rows.assign(bin="")
-    edges = protocol[spec.edges]
-    cut = pd.cut(rows[spec.bins], edges, right=False, labels=bin_labels(edges))
+    edges = settings[spec.edges]
+    closed = [*edges[:-1], math.nextafter(edges[-1], math.inf)]  # the last bin holds its end
+    cut = pd.cut(rows[spec.bins], closed, right=False, labels=bin_labels(edges))
     return rows.assign(bin=cut.astype("string")).dropna(subset="bin")
 
 

@@ -13,13 +13,12 @@ rule table:
     log:
         in_run("logs/table/{table}.log"),
     params:
-        protocol=PROTOCOL,
         settings=json.dumps(config["tables"]),
         stem=in_run(layout.TABLE),
         code=code_hash("geoevs.results.tables", "geoevs.results.formats"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
-        " --protocol {params.protocol:q} --settings {params.settings:q} --out {params.stem:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
 
 
 rule cost_table:

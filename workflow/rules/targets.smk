@@ -9,7 +9,9 @@ rule targets:
     log:
         in_run("logs/targets/{dataset}/{scene}.log"),
     params:
-        protocol=PROTOCOL,
+        protocol=json.dumps(
+            {key: config["protocol"][key] for key in ("lateral", "pose_sweep")}
+        ),
         code=code_hash("geoevs.protocol.targets"),
     shell:
         "geoevs --log {log:q} targets --scene {input.scene:q} --protocol {params.protocol:q}"
