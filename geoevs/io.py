@@ -1,5 +1,6 @@
 """Files that are written whole or not at all, and read whole or refused."""
 
+import glob
 import io
 import json
 import os
@@ -86,7 +87,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     path = Path(path)
     with _explain_write_failure(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        for abandoned in path.parent.glob(f".{glob.escape(path.name)}~*"):  # by a killed process
+            shutil.rmtree(abandoned, ignore_errors=True)
+        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}~"))
     try:
         yield temporary
         with _explain_write_failure(path):

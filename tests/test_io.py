@@ -172,7 +172,7 @@ def test_a_folder_that_cannot_be_moved_leaves_the_old_one(tmp_path, monkeypatch)
     replace = os.replace
 
     def refuse_new(source, destination):
-        if Path(source).name.startswith(".folder.") and not str(source).endswith(".old"):
+        if Path(source).name.startswith(".folder~") and not str(source).endswith(".old"):
             raise OSError(errno.EROFS, "Read-only file system")
         replace(source, destination)
 
@@ -284,3 +284,12 @@ def test_images_survive_a_round_trip(tmp_path):
 def test_grey_images_become_rgb(tmp_path):
     Image.fromarray(IMAGE[..., 0]).save(tmp_path / "grey.png")
     np.testing.assert_array_equal(read_image(tmp_path / "grey.png")[..., 2], IMAGE[..., 0])
+
+
+def test_what_a_killed_process_left_is_cleared(tmp_path):
+    (tmp_path / ".model~x1y2").mkdir()
+    (tmp_path / ".model~x1y2/half").write_text("written")
+    (tmp_path / ".model.v2~z").mkdir()  # of another folder, perhaps being written now
+    with new_folder(tmp_path / "model") as partial:
+        (partial / "whole").write_text("written")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".model.v2~z", "model"]

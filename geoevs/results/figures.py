@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -61,7 +62,7 @@ def table_grid(
             if not target.recorded:
                 reference = references[target.key]
                 image = reference.image() * reference.mask(keep)[..., None]
-                evidence += [to_uint8(image), validity_picture(reference, keep)]
+                evidence += [_thicken(to_uint8(image)), validity_picture(reference, keep)]
             renders = [
                 _read_render(run / layout.RENDERS.format(label=label, **where), target)
                 for label in labels
@@ -121,6 +122,12 @@ def draw_grid(columns: Sequence[str], rows: Sequence[Row]) -> np.ndarray:
             tile = Image.fromarray(picture).resize((TILE_WIDTH, height), how)
             canvas.paste(tile, (left, top + HEADER))
     return np.asarray(canvas)
+
+
+def _thicken(picture: np.ndarray) -> np.ndarray:
+    """Let single pixels survive when a picture is shrunk to a tile."""
+    side = -(-picture.shape[1] // TILE_WIDTH)
+    return cv2.dilate(picture, np.ones((side, side), np.uint8))
 
 
 def _read_render(renders: Path, target: Target) -> np.ndarray | None:
