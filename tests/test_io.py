@@ -217,7 +217,8 @@ def test_a_truncated_image_is_whole_or_refused(folder, share, kind):
     found, refusal = attempt(read_image, path)
     if refusal is None:  # only what follows the pixels may be missing
         np.testing.assert_array_equal(found, whole)
-        assert len(data) - int(share * len(data)) <= 16
+        # PNG's: zlib's checksum 4 bytes, the chunk's 4, the end chunk 12; JPEG's: its end mark 2.
+        assert len(data) - int(share * len(data)) <= 20
     else:
         assert re.fullmatch(rf"{path} is not a whole image \(.*\); download it again", refusal)
 
