@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
+from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
@@ -47,11 +47,18 @@ class Target:
 
 
 def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
-    """The cameras in a set of sources, in the scene's order."""
+    """The cameras in a set of sources, in the scene's order.
+
+    Raises:
+        GeoEvsError: there is no such set; a misspelt one must not show a method every camera.
+    """
+    if sources == ALL_CAMERAS:
+        return scene.cameras
     if sources == FRONT_SIDE:
         sides = (scene.info.rig.front_left, scene.info.rig.front_right)
         return tuple(name for name in scene.cameras if name in sides)
-    return scene.cameras
+    hint = did_you_mean(sources, (ALL_CAMERAS, FRONT_SIDE))
+    raise GeoEvsError(f"there is no set of sources '{sources}'; {hint}")
 
 
 def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, name: str) -> Camera:

@@ -85,6 +85,11 @@ def test_interpolation_never_shows_the_front_camera(scene):
     np.testing.assert_array_equal(target.camera.world_from_camera, front.world_from_camera)
 
 
+def test_a_misspelt_set_of_sources_shows_no_camera(scene):
+    with pytest.raises(GeoEvsError, match=r"no set of sources 'frontside'; did you mean 'front-si"):
+        source_cameras(scene, "frontside")
+
+
 def test_targets_survive_a_round_trip(scene, tmp_path):
     targets = make_targets(scene, PROTOCOL)
     write_targets(tmp_path / "targets.json", targets)
