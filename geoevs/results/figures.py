@@ -137,6 +137,8 @@ def _read_render(renders: Path, target: Target) -> np.ndarray | None:
 
 def _pick(table: str, targets: list[Target], keeps: list[float]) -> list[tuple[Target, float]]:
     """A few telling ones of a scene's targets, each with the share of its reference to show."""
+    if not targets:  # a sweep without angles
+        return []
     frames = sorted({target.frame for target in targets})
     middle = [target for target in targets if target.frame == frames[len(frames) // 2]]
     if table == "pose_offset":

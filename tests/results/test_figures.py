@@ -1,11 +1,14 @@
 import io
+import shutil
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from geoevs import layout
 from geoevs.errors import GeoEvsError
 from geoevs.protocol.reference import SparseReference
+from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.results.figures import (
     BACKGROUND,
     HEADER,
@@ -133,6 +136,14 @@ def test_a_column_without_pictures_is_left_out(run):
 
 def test_a_run_without_the_split_has_no_rows(run):
     assert drawn("extrapolation", run, scenes=()).shape == (HEADER + MARGIN, MARGIN, 3)
+
+
+def test_a_sweep_without_angles_has_no_rows(run, tmp_path):
+    shutil.copytree(run, tmp_path / "run")
+    path = tmp_path / "run" / layout.TARGETS.format(dataset="d", scene="s")
+    write_targets(path, [t for t in read_targets(path) if t.split != "pose-sweep"])
+    grid = drawn("pose_offset", tmp_path / "run")
+    assert grid.shape == (HEADER + MARGIN, MARGIN, 3)
 
 
 def test_unknown_tables_are_named(run):
