@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
-Config = Annotated[str, typer.Option(help="A section of the config, as JSON.")]
 
 
 def register(app: typer.Typer) -> None:
