@@ -21,13 +21,14 @@ def fit_method(
 ) -> None:
     """Fit a method once for every set of sources that the targets use, and record the outcome."""
     log.unlink(missing_ok=True)
+    copied = {"fit_seconds": 0.0, "bytes": 0, "threads": budget.threads}
     with new_folder(folder) as partial:
         outcomes = {}
         for sources in _source_sets(targets):
             model = partial / sources / "model"
             model.mkdir(parents=True)
             if entry.method in ORACLES:
-                outcomes[sources] = _succeeded({"fit_seconds": 0.0, "bytes": 0}, Usage(0, 0))
+                outcomes[sources] = _succeeded(copied, Usage(0, 0))
                 continue
             arguments = {
                 "scene": str(scene),
@@ -38,7 +39,7 @@ def fit_method(
                 "budget": asdict(budget),
                 "folder": str(model),
             }
-            outcomes[sources] = _attempt("fit", arguments, log)
+            outcomes[sources] = {**_attempt("fit", arguments, log), "threads": budget.threads}
         write_json(partial / "fit.json", outcomes)
 
 

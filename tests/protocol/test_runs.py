@@ -38,6 +38,7 @@ def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
         assert (render["primitives"], render["parameters"], render["note"]) == (3, 2, "toy")
         assert render["bytes"] == 5  # what its save wrote
         assert (tmp_path / "model" / sources / "model/value").read_bytes() == b"12345"
+        assert render["threads"] == BUDGET.threads
         assert 0 <= render["fit_seconds"] < 10
         assert 0 < render["render_seconds"] < 10
         assert render["peak_memory"] >= fit["peak_memory"] > 10e6

@@ -195,10 +195,10 @@ def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
 
 def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
-    outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
+    outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5, "threads": 2}, "front-side": FAILED}
     write_json(tmp_path / "render.json", outcomes)
     place = {"dataset": "d", "scene": "s"}
-    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, 2, place))
+    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, place))
     fine, failed = rows.to_dict("records")
     assert fine == {
         **place,
