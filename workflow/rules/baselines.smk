@@ -15,10 +15,10 @@ rule fit:
     threads: workflow.cores
     params:
         entry=entry_arguments,
-        budget=budget_arguments,
+        settings=fit_arguments,
         code=method_code("fit"),
     shell:
-        "geoevs --log {log[0]:q} fit {params.entry} {params.budget} --scene {input.scene:q}"
+        "geoevs --log {log[0]:q} fit {params.entry} {params.settings} --scene {input.scene:q}"
         " --targets {input.targets:q} --threads {threads} --method-log {log.method:q}"
         " --out {output:q}"
 

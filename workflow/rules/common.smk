@@ -100,8 +100,8 @@ def entry_arguments(wildcards):
     return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
 
 
-def budget_arguments(wildcards):
-    """The budget of a fit, and the options it is made with."""
+def fit_arguments(wildcards):
+    """What only a fit is told: the method's options, and the wall time it may take."""
     seconds = config["budget"]["fit_seconds"]
     limit = "" if seconds is None else f"--fit-seconds {seconds}"
     return (
