@@ -148,20 +148,49 @@ def _check_datasets(config: Mapping[str, Any], files: Sequence[Path]) -> None:
         with _located(("datasets", name, "options"), files):
             check_options(f"data source '{source}'", source_class(source), dataset["options"], 2)
         with _located(("datasets", name, "partitions"), files):
-            _check_partitions(name, dataset["partitions"])
+            placed = _placed_scenes(dataset["partitions"])
+            _check_partitions(name, placed)
+            for other, earlier in datasets.items():
+                if other == name:
+                    break
+                if earlier["source"] == source:
+                    _check_shared(name, placed, other, _placed_scenes(earlier["partitions"]))
 
 
-def _check_partitions(dataset: str, partitions: Mapping[str, list[str]]) -> None:
-    placed = [
+Placed = list[tuple[str, str, SceneRef]]
+"""Scenes of a data set: partition, the scene as the config writes it, and what that means."""
+
+
+def _placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
+    return [
         (partition, text, SceneRef.parse(text))
         for partition, texts in partitions.items()
         for text in texts
     ]
+
+
+def _check_partitions(dataset: str, placed: Placed) -> None:
     for (first, text, ref), (second, other_text, other) in itertools.combinations(placed, 2):
         if ref.overlaps(other):
             raise GeoEvsError(
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and "
                 f"'{other_text}' in '{second}'; a frame may serve one partition only, so remove one"
+            )
+
+
+def _check_shared(dataset: str, placed: Placed, other: str, other_placed: Placed) -> None:
+    """Data sets of one source may share scenes, for instance at other options.
+
+    But a frame that one of them tests must not train anything in the other.
+    """
+    for (first, text, ref), (second, other_text, other_ref) in itertools.product(
+        placed, other_placed
+    ):
+        if first != second and ref.overlaps(other_ref):
+            raise GeoEvsError(
+                f"data set '{dataset}' has scene '{text}' in partition '{first}' and data set "
+                f"'{other}', of the same source, has '{other_text}' in '{second}'; a frame may "
+                "serve one partition only, so remove one"
             )
 
 

@@ -209,6 +209,16 @@ def test_the_later_file_is_blamed_only_for_what_it_sets(tmp_path):
     assert street.startswith(f"{base}:8: data source 'street' has no option 'folder'")
 
 
+def test_data_sets_of_one_source_share_scenes_within_a_partition_only(check):
+    def second(scenes: str) -> str:
+        options = "source: pandaset, options: {folder: there}"
+        return f"  again: {{{options}, partitions: {{test: [{scenes}]}}}}\nprotocol:"
+
+    check("protocol:", second('"002@15-30"'))
+    with pytest.raises(GeoEvsError, match=r":12: data set 'again' has scene '002@5-12' in part"):
+        check("protocol:", second('"002@5-12"'))
+
+
 def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
     (tmp_path / "needy").mkdir()
     (tmp_path / "needy/adapter.py").write_text("import no_such_package\n")
