@@ -46,7 +46,10 @@ class MethodInfo:
 
 @dataclass(frozen=True)
 class Budget:
-    """What a fit may spend: `seconds` of wall time (None = as the method sees fit), `threads`."""
+    """What a fit may spend: `seconds` of wall time (None = as the method sees fit), `threads`.
+
+    The method keeps to it; no step is stopped that does not, but its costs show.
+    """
 
     seconds: float | None = None
     threads: int = 1
@@ -120,7 +123,7 @@ class Views:
     def lidar(self, frame: int) -> PointCloud:
         """The LiDAR points that may condition a method, never those that score it.
 
-        Colours come from the source cameras alone.
+        Positions are in the world, in metres. Colours come from the source cameras alone.
         """
         self._require("lidar")
         points = self._scene.points(frame)
