@@ -51,6 +51,7 @@ class Method:
 
     def save(self, folder: Path) -> None:
         """Write all that `render` needs into `folder`, and nothing elsewhere."""
+        # Options that `render` reads count too: `load` is not told them.
         self.views.save(folder / "views")
 
     @classmethod
