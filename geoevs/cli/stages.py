@@ -152,7 +152,6 @@ def score(
     costs: Annotated[Path, typer.Option(help="Where the cost rows go.")],
     variant: str = "default",
     seed: Seed = 0,
-    threads: Annotated[int, typer.Option(min=1, help="Threads that the method had.")] = 1,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
     from geoevs.io import write_bytes
@@ -168,9 +167,7 @@ def score(
     evidence = Evidence(scene, targets, references, truth)
     rows = score_method(entry, evidence, renders, settings["reference_keep"], common)
     write_bytes(out, score_frame(rows).to_parquet(index=False))
-    write_bytes(
-        costs, cost_frame(cost_rows(entry, renders, threads, place)).to_parquet(index=False)
-    )
+    write_bytes(costs, cost_frame(cost_rows(entry, renders, place)).to_parquet(index=False))
 
 
 def export(

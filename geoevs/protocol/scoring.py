@@ -146,9 +146,7 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
     return {**row, "value": value, "status": EMPTY_MASK if math.isnan(value) else OK}
 
 
-def cost_rows(
-    entry: MethodEntry, renders: Path, threads: int, common: dict
-) -> list[dict[str, Any]]:
+def cost_rows(entry: MethodEntry, renders: Path, common: dict) -> list[dict[str, Any]]:
     """What the method cost on this scene, one row for every set of sources."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
@@ -163,7 +161,6 @@ def cost_rows(
             **identity,
             **outcome,
             "sources": sources,
-            "threads": threads,
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }
         for sources, outcome in read_outcomes(renders / "render.json").items()

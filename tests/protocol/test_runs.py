@@ -141,7 +141,9 @@ def test_a_fit_of_the_wrong_shape_is_one_sentence(stage, tmp_path, text):
 
 def test_outcomes_survive_a_round_trip(tmp_path):
     blank = dict.fromkeys(("status", "stage", "reason", "log"), "")
-    outcomes = {"all-cameras": {**blank, "peak_memory": 1, "gpu_memory": 0, "more": [1]}}
+    outcomes = {
+        "all-cameras": {**blank, "threads": 1, "peak_memory": 1, "gpu_memory": 0, "more": [1]}
+    }
     write_json(tmp_path / "fit.json", outcomes)
     assert read_outcomes(tmp_path / "fit.json") == outcomes
 

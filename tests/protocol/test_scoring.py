@@ -15,7 +15,8 @@ from geoevs.protocol.scoring import THINNED_METRICS, Evidence, cost_rows, region
 from geoevs.protocol.targets import read_targets
 
 COMMON = {"dataset": "d", "scene": "s", "fingerprint": "f"}
-OK = {"status": "ok", "stage": "", "reason": "", "log": "", "peak_memory": 9, "gpu_memory": 0}
+OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 2}
+OK |= {"peak_memory": 9, "gpu_memory": 0}
 FAILED = {**OK, "status": "failed", "stage": "fit", "reason": "no points", "log": "fit.log"}
 KEEPS = [1.0, 0.5]
 
@@ -198,7 +199,7 @@ def test_costs_by_hand(tmp_path):
     outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
     write_json(tmp_path / "render.json", outcomes)
     place = {"dataset": "d", "scene": "s"}
-    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, 2, place))
+    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, place))
     fine, failed = rows.to_dict("records")
     assert fine == {
         **place,

@@ -18,13 +18,12 @@ rule score:
     params:
         entry=entry_arguments,
         protocol=PROTOCOL,
-        threads=workflow.cores,
         code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
     shell:
         "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
         " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
         " --references {input.references:q} --truth {input.truth:q} --renders {input.renders:q}"
-        " --protocol {params.protocol:q} --threads {params.threads} --out {output.scores:q}"
+        " --protocol {params.protocol:q} --out {output.scores:q}"
         " --costs {output.costs:q}"
 
 
