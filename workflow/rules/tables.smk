@@ -50,7 +50,9 @@ rule figure:
             f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES
         ),
         labels=" ".join(
-            f"--labels {label}" for label in ENTRIES if label not in ORACLES
+            f"--labels {label}"
+            for label, entry in ENTRIES.items()
+            if entry.method not in ORACLES
         ),
         keeps=json.dumps(config["protocol"]["reference_keep"]),
         code=code_hash("geoevs.results.figures"),
