@@ -13,7 +13,7 @@ ORACLES = (REFERENCE, TRUTH)
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
-OUTCOME = {"status", "stage", "reason", "log", "peak_memory", "gpu_memory"}
+OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_memory"}
 """What `fit.json` and `render.json` say of every set of sources, besides costs."""
 
 

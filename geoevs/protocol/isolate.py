@@ -33,12 +33,19 @@ class Usage:
     gpu_memory: int
 
 
-def run_isolated(function: str, arguments: dict[str, Any], log: Path) -> tuple[Any, Usage]:
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Read by PyTorch, NumPy's linear algebra, and Numba for its default."""
+
+
+def run_isolated(
+    function: str, arguments: dict[str, Any], threads: int, log: Path
+) -> tuple[Any, Usage]:
     """Call `module:function` with JSON-able keyword arguments in a fresh Python process.
 
     Args:
         function: where it is, such as `geoevs.protocol.fit_step:fit_step`.
         arguments: its keyword arguments.
+        threads: how many its numerical libraries may start.
         log: where the child's output and traceback are appended.
 
     Returns:
@@ -54,6 +61,7 @@ def run_isolated(function: str, arguments: dict[str, Any], log: Path) -> tuple[A
             [sys.executable, "-m", "geoevs.protocol.isolate", function, answer],
             input=json.dumps(arguments),
             text=True,
+            env=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)),
             stdout=output,
             stderr=subprocess.STDOUT,
             check=False,

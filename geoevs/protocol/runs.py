@@ -21,14 +21,14 @@ def fit_method(
 ) -> None:
     """Fit a method once for every set of sources that the targets use, and record the outcome."""
     log.unlink(missing_ok=True)
-    copied = {"fit_seconds": 0.0, "bytes": 0, "threads": budget.threads}
     with new_folder(folder) as partial:
         outcomes = {}
         for sources in _source_sets(targets):
             model = partial / sources / "model"
             model.mkdir(parents=True)
             if entry.method in ORACLES:
-                outcomes[sources] = _succeeded(copied, Usage(0, 0))
+                nothing = {"fit_seconds": 0.0, "bytes": 0}
+                outcomes[sources] = _succeeded(nothing, Usage(0, 0), budget.threads)
                 continue
             arguments = {
                 "scene": str(scene),
@@ -39,7 +39,7 @@ def fit_method(
                 "budget": asdict(budget),
                 "folder": str(model),
             }
-            outcomes[sources] = {**_attempt("fit", arguments, log), "threads": budget.threads}
+            outcomes[sources] = _attempt("fit", arguments, budget.threads, log)
         write_json(partial / "fit.json", outcomes)
 
 
@@ -68,24 +68,25 @@ def render_method(
                 "evidence": evidence,
                 "folder": str(partial),
             }
-            rendered = _attempt("render", arguments, log)
+            rendered = _attempt("render", arguments, fit["threads"], log)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
         write_json(partial / "render.json", outcomes)
 
 
-def _attempt(stage: str, arguments: dict[str, Any], log: Path) -> dict[str, Any]:
+def _attempt(stage: str, arguments: dict[str, Any], threads: int, log: Path) -> dict[str, Any]:
     try:
         step = f"geoevs.protocol.{stage}_step:{stage}_step"
-        result, usage = run_isolated(step, arguments, log)
+        result, usage = run_isolated(step, arguments, threads, log)
     except MethodFailedError as failure:
-        blank = {"peak_memory": 0, "gpu_memory": 0}
-        return {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log), **blank}
-    return _succeeded(result, usage)
+        why = {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log)}
+        return {**why, "threads": threads, **asdict(Usage(0, 0))}
+    return _succeeded(result, usage, threads)
 
 
-def _succeeded(result: dict[str, Any], usage: Usage) -> dict[str, Any]:
-    return {"status": OK, "stage": "", "reason": "", "log": "", **asdict(usage), **result}
+def _succeeded(result: dict[str, Any], usage: Usage, threads: int) -> dict[str, Any]:
+    fine = {"status": OK, "stage": "", "reason": "", "log": ""}
+    return {**fine, "threads": threads, **asdict(usage), **result}
 
 
 def _source_sets(targets: Path) -> list[str]:

@@ -61,7 +61,7 @@ def isolated(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
 
     def run(name: str, **arguments):
-        return run_isolated(f"child_steps:{name}", arguments, tmp_path / "logs" / "step.log")
+        return run_isolated(f"child_steps:{name}", arguments, 1, tmp_path / "logs" / "step.log")
 
     return run
 

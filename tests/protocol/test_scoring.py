@@ -15,7 +15,8 @@ from geoevs.protocol.scoring import THINNED_METRICS, Evidence, cost_rows, region
 from geoevs.protocol.targets import read_targets
 
 COMMON = {"dataset": "d", "scene": "s", "fingerprint": "f"}
-OK = {"status": "ok", "stage": "", "reason": "", "log": "", "peak_memory": 9, "gpu_memory": 0}
+OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 2}
+OK |= {"peak_memory": 9, "gpu_memory": 0}
 FAILED = {**OK, "status": "failed", "stage": "fit", "reason": "no points", "log": "fit.log"}
 KEEPS = [1.0, 0.5]
 
@@ -195,7 +196,7 @@ def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
 
 def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
-    outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5, "threads": 2}, "front-side": FAILED}
+    outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
     write_json(tmp_path / "render.json", outcomes)
     place = {"dataset": "d", "scene": "s"}
     rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, place))

@@ -23,7 +23,8 @@ rule score:
         "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
         " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
         " --references {input.references:q} --truth {input.truth:q} --renders {input.renders:q}"
-        " --protocol {params.protocol:q} --out {output.scores:q} --costs {output.costs:q}"
+        " --protocol {params.protocol:q} --out {output.scores:q}"
+        " --costs {output.costs:q}"
 
 
 rule scores:

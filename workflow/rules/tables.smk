@@ -49,7 +49,11 @@ rule figure:
         scenes=" ".join(
             f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES
         ),
-        labels=" ".join(f"--labels {label}" for label in ENTRIES),
+        labels=" ".join(
+            f"--labels {label}"
+            for label, entry in ENTRIES.items()
+            if entry.method not in ORACLES
+        ),
         keeps=json.dumps(config["protocol"]["reference_keep"]),
         code=code_hash("geoevs.results.figures"),
     shell:

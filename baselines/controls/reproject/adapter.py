@@ -22,7 +22,6 @@ class Method:
     # By camera and frame. float32, not float16: its 6 cm steps at 100 m would be our own error,
     # and a reloaded method must place every point in the same pixel.
     depths: dict[int, dict[str, np.ndarray]] = field(init=False)  # each [H, W] float32 metres
-    _lifted: tuple[tuple, np.ndarray, np.ndarray] | None = field(init=False, default=None)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""
@@ -34,7 +33,7 @@ class Method:
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Project the frame's cloud; `support` is where a point landed."""
-        xyz, rgb = self._cloud(frame, camera)
+        xyz, rgb = lift_frame(self.views, frame, self.depths[frame], camera)
         image, mask, depth = rasterize(xyz, rgb, camera)
         return Rendering(image, depth, mask)
 
@@ -59,10 +58,3 @@ class Method:
             for frame in views.frames
         }
         return method
-
-    def _cloud(self, frame: int, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """The frame's (N, 3) points and colours; targets come frame by frame, so one is kept."""
-        key = frame, camera.K[0, 0], camera.K[1, 1]
-        if self._lifted is None or self._lifted[0] != key:
-            self._lifted = key, *lift_frame(self.views, frame, self.depths[frame], camera)
-        return self._lifted[1:]
