@@ -1,5 +1,6 @@
 """The adapter contract as named checks, run on a tiny scene in a folder of their own."""
 
+import ast
 import contextlib
 import importlib
 import os
@@ -34,6 +35,9 @@ VIRTUAL = tiny_camera("virtual", 22.5, MOUNT + np.array([0.5, 1.0, 0.0]))
 
 # Views can tell when these are read; what else a method declares is taken at its word.
 WATCHED_NEEDS = ("lidar", "tracks")
+
+# A method that reads these could see its answers.
+HIDDEN_PACKAGES = ("geoevs.protocol", "geoevs.results")
 
 # What Python and Numba themselves write beside the code.
 UNWATCHED_FOLDERS = ("__pycache__",)
@@ -166,6 +170,23 @@ def _check_info(trial: Trial) -> None:
         )
 
 
+def _check_imports(trial: Trial) -> None:
+    folder = Path(importlib.import_module(type(trial.method).__module__).__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            names = [alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")]
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module, *(f"{node.module}.{name}" for name in names)]
+            elif not isinstance(node, ast.Import):
+                continue
+            for name in names:
+                if name.startswith(HIDDEN_PACKAGES):
+                    raise BrokenContractError(
+                        f"{path.name}:{node.lineno} imports {name}; a method must not know how it "
+                        "is scored"
+                    )
+
+
 def _check_fit(trial: Trial) -> None:
     report = trial.fit(trial.method)
     if not isinstance(report, FitReport):
@@ -294,6 +315,7 @@ def _files(root: Path) -> Iterator[tuple[Path, tuple[int, int]]]:
 
 CHECKS: dict[str, Callable[[Trial], str | None]] = {
     "info": _check_info,
+    "imports": _check_imports,
     "fit": _check_fit,
     "source view": _check_source_view,
     "virtual view": _check_virtual_view,

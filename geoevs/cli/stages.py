@@ -87,14 +87,11 @@ def references(
     seed: Seed = 0,
 ) -> None:
     """Project the scoring LiDAR points into every virtual target (the LPSR reference)."""
-    from geoevs.adapter import Rng
     from geoevs.protocol.reference import make_references, write_references
     from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    store = Scene(scene)
-    rng = Rng(seed, "references", store.info.name)
-    write_references(out, make_references(store, read_targets(targets), rng.numpy))
+    write_references(out, make_references(Scene(scene), read_targets(targets), seed))
 
 
 def fit(
@@ -181,7 +178,7 @@ def export(
     """Write what a method may see as a scene folder, and the cameras to render as cameras.json.
 
     For methods in another environment or language: they leave <camera>/<frame>.png, six digits a
-    frame, which the control `external` scores.
+    frame, which the method `external` scores.
     """
     from geoevs.adapter import NEEDS, Views
     from geoevs.io import new_folder

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.adapter import Views
+from geoevs.adapter import Rng, Views
 from geoevs.geometry.lift import lidar_depths, lift_frame
 from geoevs.io import whole_file, write_arrays
 from geoevs.projection import zbuffer
@@ -76,9 +76,7 @@ def sparse_reference(
     )
 
 
-def make_references(
-    scene: Scene, targets: list[Target], rng: np.random.Generator
-) -> dict[str, SparseReference]:
+def make_references(scene: Scene, targets: list[Target], seed: int) -> dict[str, SparseReference]:
     """The references of every target that no camera recorded, by target key.
 
     The mask of raw reprojection comes from the points that methods may use, one for all methods.
@@ -97,6 +95,7 @@ def make_references(
             if target.sources != ALL_CAMERAS:
                 raise ValueError(f"no sparse reference is defined for sources {target.sources}")
             reprojected = zbuffer(cloud, target.camera).index >= 0
+            rng = Rng(seed, "reference", scene.info.name, target.key).numpy
             references[target.key] = sparse_reference(scoring, target, reprojected, rng)
     return references
 

@@ -75,9 +75,14 @@ def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, na
         A camera whose centre lies on the line between the two at the same fraction as its yaw.
 
     Raises:
-        GeoEvsError: the side camera is not turned that far.
+        GeoEvsError: the side camera is not turned that far, or not at all.
     """
     gap = (side.yaw - front.yaw + 180.0) % 360.0 - 180.0
+    if gap == 0:
+        raise GeoEvsError(
+            f"cameras '{front.name}' and '{side.name}' look the same way; a rig's front-side "
+            "cameras must be turned aside"
+        )
     if angle > abs(gap):
         raise GeoEvsError(
             f"target '{name}' turns {angle} degrees but camera '{side.name}' is only "

@@ -86,7 +86,7 @@ def test_scoring_points_never_condition(scene):
 
 def test_the_reference_agrees_with_truth(scene):
     targets = make_targets(scene, PROTOCOL)
-    references = make_references(scene, targets, np.random.default_rng(0))
+    references = make_references(scene, targets, seed=0)
     assert set(references) == {target.key for target in targets if not target.recorded}
     for target in targets:
         if target.split != "extrapolation":
@@ -97,9 +97,20 @@ def test_the_reference_agrees_with_truth(scene):
         assert np.median(error) < 0.01
 
 
+def test_another_target_leaves_the_thinning_of_this_one_alone(scene):
+    targets = make_targets(scene, PROTOCOL)
+    (some, *_) = [target for target in targets if target.split == "pose-sweep"]
+    alone = make_references(scene, [some], seed=0)[some.key]
+    together = make_references(scene, targets, seed=0)[some.key]
+    np.testing.assert_array_equal(alone.mask(0.5), together.mask(0.5))
+    assert not np.array_equal(
+        alone.mask(0.5), make_references(scene, [some], seed=1)[some.key].mask(0.5)
+    )
+
+
 def test_references_survive_a_round_trip(scene, tmp_path):
     targets = make_targets(scene, PROTOCOL)
-    references = make_references(scene, targets, np.random.default_rng(0))
+    references = make_references(scene, targets, seed=0)
     write_references(tmp_path / "references.npz", references)
     read = References(tmp_path / "references.npz")
     for key, reference in references.items():

@@ -62,6 +62,12 @@ def test_a_target_beyond_the_side_camera_is_refused():
         virtual_camera(front, left, 25, 0.0, "target")
 
 
+def test_side_cameras_that_look_ahead_are_refused():
+    front, left = (tiny_camera(name, 30.0, np.zeros(3)) for name in ("front", "left"))
+    with pytest.raises(GeoEvsError, match=r"'front' and 'left' look the same way"):
+        virtual_camera(front, left, 0.0, 1.0, "target")
+
+
 def test_every_split_of_a_scene(scene):
     targets = make_targets(scene, PROTOCOL)
     count = {split: sum(t.split == split for t in targets) for split in {t.split for t in targets}}
