@@ -9,6 +9,8 @@ import typer
 from geoevs.cli.arguments import parse_json
 from geoevs.cli.progress import counted, progress_bar
 
+Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
+SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]
 Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
@@ -24,8 +26,8 @@ def register(app: typer.Typer) -> None:
 
 
 def scene(
-    source: Annotated[str, typer.Option(help="A data source: street, pandaset, ...")],
-    name: Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")],
+    source: Source,
+    name: SceneName,
     height: Size,
     width: Size,
     out: Out,
@@ -60,8 +62,8 @@ def targets(
 
 
 def truth(
-    source: Annotated[str, typer.Option(help="The scene's data source.")],
-    name: Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")],
+    source: Source,
+    name: SceneName,
     height: Size,
     width: Size,
     targets: TargetFile,

@@ -1,6 +1,7 @@
 """Score rows and cost rows of one method on one scene."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,21 +103,25 @@ def score_method(
             **_describe(entry, target),
             **{name: outcome[name] for name in ("stage", "reason", "log")},
         }
-        for position, keep in enumerate(keeps):
-            answers = regions(reference, dense, keep)
-            if position == 0:
-                names = [name for name, spec in METRICS.items() if spec.region in answers]
-                stress = {"stressor": "", "level": math.nan}
-            elif target.split == "extrapolation":
-                names = THINNED_METRICS
-                stress = {"stressor": THINNING, "level": keep}
-            else:
-                continue
-            rows += [
-                {**described, **stress, **_score(name, preds, answers[METRICS[name].region])}
-                for name in names
-            ]
+        main, *thinned = keeps
+        answers = regions(reference, dense, main)
+        names = [name for name, spec in METRICS.items() if spec.region in answers]
+        plain = {**described, "stressor": "", "level": math.nan}
+        rows += [{**plain, **score} for score in _scores(names, preds, answers)]
+        if target.split == "extrapolation":
+            for keep in thinned:
+                answers = regions(reference, dense, keep)
+                stressed = {**described, "stressor": THINNING, "level": keep}
+                rows += [
+                    {**stressed, **score} for score in _scores(THINNED_METRICS, preds, answers)
+                ]
     return rows
+
+
+def _scores(
+    names: Sequence[str], preds: np.ndarray | None, answers: dict[str, Answer]
+) -> list[dict[str, Any]]:
+    return [_score(name, preds, answers[METRICS[name].region]) for name in names]
 
 
 def _describe(entry: MethodEntry, target: Target) -> dict[str, Any]:

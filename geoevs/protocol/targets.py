@@ -13,6 +13,8 @@ from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
 
 ALL_CAMERAS = "all-cameras"
 FRONT_SIDE = "front-side"
+RECORDED_SPLITS = ("observed", "interpolation")
+"""Splits whose targets a camera recorded, so that its image is dense truth."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Target:
 
     @property
     def recorded(self) -> bool:
-        """Whether a camera recorded this view, so that its image is dense truth."""
-        return self.split in ("observed", "interpolation")
+        """Whether a camera recorded this view (see RECORDED_SPLITS)."""
+        return self.split in RECORDED_SPLITS
 
 
 def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
@@ -77,7 +79,7 @@ def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, na
     Raises:
         GeoEvsError: the side camera is not turned that far, or not at all.
     """
-    gap = (side.yaw - front.yaw + 180.0) % 360.0 - 180.0
+    gap = _yaw_gap(front, side)
     if gap == 0:
         raise GeoEvsError(
             f"cameras '{front.name}' and '{side.name}' look the same way; a rig's front-side "
@@ -99,6 +101,11 @@ def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, na
     pose[:3, :3] = rotation @ front.world_from_camera[:3, :3]
     pose[:3, 3] = (1 - fraction) * front.centre + fraction * side.centre + lateral * left
     return Camera(front.K, pose, front.height, front.width, name)
+
+
+def _yaw_gap(front: Camera, side: Camera) -> float:
+    """Degrees from the front camera's yaw to the side one's, in [-180, 180), left positive."""
+    return (side.yaw - front.yaw + 180.0) % 360.0 - 180.0
 
 
 def make_targets(scene: Scene, protocol: dict) -> list[Target]:
@@ -132,7 +139,7 @@ def _extrapolation(
     front: Camera, sides: dict[str, Camera], frame: int, shifts: list[float]
 ) -> Iterator[Target]:
     for side, camera in sides.items():
-        half = abs((camera.yaw - front.yaw + 180.0) % 360.0 - 180.0) / 2
+        half = abs(_yaw_gap(front, camera)) / 2
         for shift in shifts:
             name = f"extrapolation-{side}{shift:+g}m"
             virtual = virtual_camera(front, camera, half, shift, name)

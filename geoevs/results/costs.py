@@ -4,6 +4,7 @@ import pandas as pd
 
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
+from geoevs.results.formats import markdown_grid
 from geoevs.results.tables import display_name, is_control
 
 COLUMNS = {
@@ -50,13 +51,12 @@ def cost_markdown(table: pd.DataFrame) -> str:
     header = ["method", *COLUMNS.values(), "device", "threads", "n", "failed"]
     parts = ["# Costs (mean over scenes, all cameras as sources)\n"]
     for dataset, rows in table.groupby("dataset", sort=False):
-        lines = [header, ["---"] * len(header)]
+        body = []
         for row in rows.to_dict("records"):
             name = display_name(row["method"], row["variant"])
             cells = [f"*{name}*" if is_control(row["method"]) else name]
             cells += ["" if pd.isna(row[key]) else f"{row[key]:.4g}" for key in COLUMNS]
             cells += [str(row[key]) for key in ("device", "threads", "n", "failed")]
-            lines.append(cells)
-        body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        parts.append(f"## {dataset}\n\n{body}\n")
+            body.append(cells)
+        parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
     return "\n".join(parts)

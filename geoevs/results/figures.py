@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from geoevs import layout
 from geoevs.io import encode_png, read_image, to_uint8
 from geoevs.protocol.reference import References, SparseReference
-from geoevs.protocol.targets import Target, read_targets
+from geoevs.protocol.targets import RECORDED_SPLITS, Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.results.tables import table_spec
 from geoevs.scenes.store import Scene
@@ -70,8 +70,8 @@ def table_grid(
             share = "" if table != "sparsity" else f", {keep:.0%} of reference"
             name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
             rows.append(Row(name, [*evidence, *renders]))
-    recorded = split in ("observed", "interpolation")
-    evidence_names = ["recorded"] if recorded else ["truth", "sparse reference", "validity"]
+    virtual_evidence = ["truth", "sparse reference", "validity"]
+    evidence_names = ["recorded"] if split in RECORDED_SPLITS else virtual_evidence
     columns = [*evidence_names, *labels]
     shown = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
     rows = [Row(row.label, [row.pictures[k] for k in shown]) for row in rows]

@@ -1,6 +1,7 @@
 """Tables for people: Markdown and LaTeX, with intervals, flags and the paper's numbers."""
 
 import math
+from collections.abc import Sequence
 
 import pandas as pd
 
@@ -18,10 +19,15 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
     parts = [f"# {spec.title}\n"]
     for dataset, rows in table.groupby("dataset", sort=False):
         header, body = _grid(spec, rows)
-        lines = [" | ".join(line) for line in (header, ["---"] * len(header), *body)]
-        parts.append(f"## {dataset}\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n")
+        parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
     parts.append(LEGEND)
     return "\n".join(parts)
+
+
+def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Cells as a Markdown table."""
+    lines = (header, ["---"] * len(header), *body)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
