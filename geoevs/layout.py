@@ -1,6 +1,7 @@
 """Where everything lies under `results/<run>/`; the workflow's rules use these patterns."""
 
 SCENE = "scenes/{dataset}/{scene}"
+DEPTHS = "depths/{dataset}/{scene}"
 TARGETS = "targets/{dataset}/{scene}.json"
 TRUTH = "truth/{dataset}/{scene}"
 REFERENCES = "references/{dataset}/{scene}.npz"

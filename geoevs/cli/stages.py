@@ -31,10 +31,13 @@ def scene(
     height: Size,
     width: Size,
     out: Out,
+    depths: Annotated[Path, typer.Option(help="Where dense true depth goes, if known.")],
     options: Options = "{}",
 ) -> None:
     """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
+    from geoevs.io import new_folder
     from geoevs.projection import colour_points
+    from geoevs.scenes.depths import write_depths
     from geoevs.scenes.scene import Frame, SceneRef, load_source
     from geoevs.scenes.store import write_scene
 
@@ -44,8 +47,9 @@ def scene(
 
     made = load_source(source, height, width, parse_json("--options", options))
     record = made.open(SceneRef.parse(name))
-    with progress_bar(f"scene {name}", record.frame_count) as advance:
+    with progress_bar(f"scene {name}", record.frame_count) as advance, new_folder(depths) as apart:
         frames = (coloured(frame) for frame in counted(record.frames, advance))
+        frames = (write_depths(apart, frame) for frame in frames)
         write_scene(out, record.info, record.tracks, frames)
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -66,7 +66,9 @@ class Frame:
     """One instant as a source gives it: every camera's image, and the LiDAR sweep.
 
     `cameras` and `images` share their keys, the camera names, in the rig's order; images are
-    (H, W, 3) uint8 at the run's resolution, free of lens distortion.
+    (H, W, 3) uint8 at the run's resolution, free of lens distortion. `depths` is dense truth of
+    the same views, (H, W) float32 metres with 0 = none, where the source knows it; it is kept
+    apart from the scene store, out of every method's sight.
     """
 
     frame: int
@@ -74,6 +76,7 @@ class Frame:
     cameras: dict[str, Camera]
     images: dict[str, np.ndarray]
     points: PointCloud
+    depths: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

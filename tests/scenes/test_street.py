@@ -25,7 +25,7 @@ from geoevs.scenes.sources.street.render import (
     render_image,
 )
 from geoevs.scenes.sources.street.rig import Ego, make_cameras
-from geoevs.scenes.sources.street.source import INTERVAL, MOST_FRAMES, Source, World
+from geoevs.scenes.sources.street.source import INTERVAL, LONGEST, Source, World
 from geoevs.scenes.sources.street.stage import Stage, mitsuba
 from geoevs.scenes.sources.street.traffic import make_actors
 
@@ -324,7 +324,7 @@ def test_nobody_comes_near_the_ego_and_it_keeps_its_lane(layout):
         street = make_street(layout, np.random.default_rng(seed))
         ego = Ego(street, 12.0)
         actors = make_actors(street, ego.speed, np.random.default_rng(seed))
-        for frame in range(0, MOST_FRAMES, 6):
+        for frame in range(0, round(LONGEST / INTERVAL), 6):
             pose = ego.pose(frame * INTERVAL)
             for actor in actors:
                 place = actor.at(frame * INTERVAL)
@@ -407,3 +407,25 @@ def test_mitsuba_is_imported_only_to_render():
         "sys.exit('mitsuba' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_frames_may_lie_farther_apart():
+    near, far = Source(*SIZE, frames=2), Source(*SIZE, frames=2, interval=1.5)
+    ref = SceneRef("straight-8", 1, 1)
+    moved = [next(source.open(ref).frames) for source in (near, far)]
+    assert [frame.timestamp for frame in moved] == [pytest.approx(0.1), pytest.approx(1.5)]
+    start = next(near.open(SceneRef("straight-8", 0, 0)).frames).cameras["front"].centre
+    reach = [np.linalg.norm(frame.cameras["front"].centre - start) for frame in moved]
+    assert reach[1] == pytest.approx(15 * reach[0], rel=1e-6)
+
+
+def test_a_scene_longer_than_its_street_is_refused():
+    with pytest.raises(GeoEvsError, match="streets last 6 s"):
+        Source(*SIZE, frames=60, interval=0.2)
+
+
+def test_recorded_depth_is_the_truth_at_the_recorded_pose():
+    source = Source(*SIZE, frames=1)
+    frame = next(source.open(SceneRef("straight-8")).frames)
+    truth = next(iter(source.truth(SceneRef("straight-8"), [(frame.cameras["front"], 0)])))
+    np.testing.assert_array_equal(frame.depths["front"], truth.depth)

@@ -78,7 +78,12 @@ def scene_arguments(wildcards):
 def source_code(wildcards):
     """Hash of the data source that a scene comes from, and of how scenes are stored."""
     source = config["datasets"][wildcards.dataset]["source"]
-    return code_hash(find_sources()[source], "geoevs.projection", "geoevs.scenes.store")
+    return code_hash(
+        find_sources()[source],
+        "geoevs.projection",
+        "geoevs.scenes.store",
+        "geoevs.scenes.depths",
+    )
 
 
 def method_code(step):

@@ -3,7 +3,8 @@
 
 rule scene:
     output:
-        directory(in_run(layout.SCENE)),
+        scene=directory(in_run(layout.SCENE)),
+        depths=directory(in_run(layout.DEPTHS)),
     log:
         in_run("logs/scene/{dataset}/{scene}.log"),
     benchmark:
@@ -13,7 +14,8 @@ rule scene:
         scene=scene_arguments,
         code=source_code,
     shell:
-        "geoevs --log {log:q} scene {params.scene} --out {output:q}"
+        "geoevs --log {log:q} scene {params.scene} --out {output.scene:q}"
+        " --depths {output.depths:q}"
 
 
 rule truth:

@@ -21,9 +21,9 @@ from geoevs.scenes.sources.street.rig import MOUNTS, RIG, Ego, make_cameras
 from geoevs.scenes.sources.street.stage import Scenes, Stage
 from geoevs.scenes.sources.street.traffic import make_actors, make_tracks
 
-INTERVAL = 0.1  # seconds between frames
 KEPT_INSTANTS = 8  # about 40 MB each
-MOST_FRAMES = 60  # after which the ego would come near the end of its street
+INTERVAL = 0.1  # seconds between frames
+LONGEST = 6.0  # seconds, after which the ego would come near the end of its street
 
 
 def keyed_rng(*key: object) -> np.random.Generator:
@@ -35,9 +35,9 @@ def keyed_rng(*key: object) -> np.random.Generator:
 class World:
     """One scene: its street, light, actors and vehicle; a pure function of its name."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, interval: float = INTERVAL) -> None:
         layout = name.partition("-")[0]
-        self.name = name
+        self.name, self.interval = name, interval
         self._street = make_street(layout, keyed_rng(name, "street"))
         self.light = make_light(keyed_rng(name, "light"))
         self.ego = Ego(self._street, keyed_rng(name, "ego").uniform(8, 12))
@@ -57,7 +57,7 @@ class World:
         moving = MeshBuilder()
         for actor in self.actors:
             if actor.moving:
-                actor.add_to(moving, frame * INTERVAL)
+                actor.add_to(moving, frame * self.interval)
         return self._built().with_moving(moving.surfaces())
 
     def _built(self) -> Stage:
@@ -79,7 +79,8 @@ class Source:
 
     Args:
         height, width: pixels of every image; the field of view is always the same.
-        frames: length of every scene, at 10 frames a second.
+        frames: length of every scene.
+        interval: seconds between frames; training needs few frames that differ much.
         lidar_azimuths: measurements of each of the 64 beams in a turn.
         samples: rays a pixel that an image is made of.
 
@@ -95,11 +96,12 @@ class Source:
         width: int,
         *,
         frames: int = 8,
+        interval: float = INTERVAL,
         lidar_azimuths: int = 400,
         samples: int = 25,
     ) -> None:
         for name, value, most in (
-            ("frames", frames, MOST_FRAMES),
+            ("frames", frames, 60),
             ("lidar_azimuths", lidar_azimuths, 4000),
             ("samples", samples, 400),
         ):
@@ -107,7 +109,12 @@ class Source:
                 raise GeoEvsError(
                     f"street's option '{name}' is {value}; choose a whole number from 1 to {most}"
                 )
-        self._height, self._width = height, width
+        if not 0 < frames * interval <= LONGEST:
+            raise GeoEvsError(
+                f"street's options make {frames} frames of {interval} s each; streets last "
+                f"{LONGEST:g} s, so lower 'frames' or 'interval'"
+            )
+        self._height, self._width, self._interval = height, width, interval
         self._frames, self._azimuths, self._samples = frames, lidar_azimuths, samples
         self._world: World | None = None
 
@@ -133,7 +140,7 @@ class Source:
         )
         return SceneRecord(
             info=info,
-            tracks=make_tracks(world.actors, frames, INTERVAL),
+            tracks=make_tracks(world.actors, frames, world.interval),
             frames=self._record(world, frames),
             frame_count=len(frames),
         )
@@ -161,12 +168,12 @@ class Source:
                 f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
             )
         if self._world is None or self._world.name != scene.name:
-            self._world = World(scene.name)
+            self._world = World(scene.name, self._interval)
         return self._world
 
     def _record(self, world: World, frames: list[int]) -> Iterator[Frame]:
         for frame in frames:
-            scenes, pose = world.at(frame), world.ego.pose(frame * INTERVAL)
+            scenes, pose = world.at(frame), world.ego.pose(frame * world.interval)
             cameras = make_cameras(pose, self._height, self._width)
             images = {
                 name: self._render(world, scenes, camera, frame, f"recorded/{name}")
@@ -174,7 +181,8 @@ class Source:
             }
             rng = keyed_rng(world.name, frame, "lidar")
             points = scan(scenes.lit, pose, self._azimuths, rng)
-            yield Frame(frame, frame * INTERVAL, cameras, images, points)
+            depths = {name: render_depth(scenes, camera) for name, camera in cameras.items()}
+            yield Frame(frame, frame * world.interval, cameras, images, points, depths)
 
     def _render_truth(self, world: World, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
         for camera, frame in views:
@@ -187,5 +195,5 @@ class Source:
     ) -> np.ndarray:
         rng = keyed_rng(world.name, frame, purpose)
         return render_image(
-            scenes, camera, world.light, world.actors, frame * INTERVAL, self._samples, rng
+            scenes, camera, world.light, world.actors, frame * world.interval, self._samples, rng
         )

@@ -1,0 +1,21 @@
+"""Dense true depth of recorded views: it supervises and judges geometry, and no method sees it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from geoevs.io import read_arrays, write_arrays
+from geoevs.scenes.scene import Frame
+
+
+def write_depths(folder: Path, frame: Frame) -> Frame:
+    """Write what a source knows of a frame's depth as `<frame>.npz`; the frame passes through."""
+    if frame.depths:
+        write_arrays(folder / f"{frame.frame:06d}.npz", frame.depths)
+    return frame
+
+
+def read_depths(folder: Path, frame: int) -> dict[str, np.ndarray]:
+    """(H, W) float32 metres by camera, 0 = none; empty where nobody knows the depth."""
+    path = Path(folder) / f"{frame:06d}.npz"
+    return read_arrays(path) if path.exists() else {}
