@@ -1,0 +1,185 @@
+"""The autoencoder between images and latents: diffusers' AutoencoderKL, behind a space-to-depth.
+
+A small autoencoder keeps more of an image if its first layer loses nothing: pixels of a block become
+channels, and all convolutions run at latent resolution.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from diffusers import AutoencoderKL
+from torch import Tensor, nn
+
+from geoevs.adapter import Rng
+from geoevs.training import mixed_precision
+
+KL_WEIGHT = 1e-5
+
+
+@dataclass(frozen=True)
+class AutoencoderConfig:
+    """Shape of an autoencoder; the defaults are the nano one that this suite pretrains.
+
+    Args:
+        block: side of the pixel blocks that become channels, lossless.
+        channels: of the convolutions at each resolution; each after the first halves it.
+        layers: residual blocks at each resolution.
+        latent_channels: of a latent.
+        groups: of the group normalisation.
+    """
+
+    block: int = 4
+    channels: tuple[int, ...] = (128,)
+    layers: int = 2
+    latent_channels: int = 8
+    groups: int = 16
+
+
+class Autoencoder(nn.Module):
+    """Images to normalised latents and back.
+
+    `shift` and `scale` make latents zero-mean with unit variance per channel, as the diffusion
+    process assumes; `fit_statistics` measures them.
+    """
+
+    def __init__(self, config: AutoencoderConfig, network: AutoencoderKL | None = None) -> None:
+        super().__init__()
+        self.config = config
+        self.network = network or _build(config)
+        channels = self.network.config.latent_channels
+        self.register_buffer("shift", torch.zeros(1, channels, 1, 1))
+        self.register_buffer("scale", torch.ones(1, channels, 1, 1))
+
+    @property
+    def factor(self) -> int:
+        """Pixels of an image per latent pixel, each way."""
+        return self.config.block * 2 ** (len(self.network.config.block_out_channels) - 1)
+
+    @property
+    def latent_channels(self) -> int:
+        """Channels of a latent."""
+        return self.shift.shape[1]
+
+    def posterior(self, images: Tensor) -> torch.distributions.Distribution:
+        """Diagonal Gaussian over raw latents of [B, 3, H, W] images in [0, 1]."""
+        blocks = F.pixel_unshuffle(images * 2 - 1, self.config.block)
+        return self.network.encode(blocks).latent_dist
+
+    def encode(
+        self,
+        images: Tensor,  # [B, 3, H, W] in [0, 1]
+    ) -> Tensor:
+        """[B, C, H / factor, W / factor] normalised latents, the posterior's mean."""
+        return (self.posterior(images).mean - self.shift) / self.scale
+
+    def decode(
+        self,
+        latents: Tensor,  # [B, C, h, w]
+    ) -> Tensor:
+        """[B, 3, h * factor, w * factor] images, in [0, 1] but for overshoots."""
+        return self.decode_raw(latents * self.scale + self.shift)
+
+    def decode_raw(self, latents: Tensor) -> Tensor:
+        """Decode latents as the network has them, before normalisation."""
+        blocks = self.network.decode(latents).sample
+        return (F.pixel_shuffle(blocks, self.config.block) + 1) / 2
+
+    @torch.no_grad()
+    def fit_statistics(
+        self,
+        images: Tensor,  # [B, 3, H, W] in [0, 1]
+    ) -> None:
+        """Measure `shift` and `scale` on images."""
+        raw = self.posterior(images).mean
+        self.shift.copy_(raw.mean(dim=(0, 2, 3), keepdim=True))
+        self.scale.copy_(raw.std(dim=(0, 2, 3), keepdim=True))
+
+
+def _build(config: AutoencoderConfig) -> AutoencoderKL:
+    levels = len(config.channels)
+    values = 3 * config.block**2
+    return AutoencoderKL(
+        in_channels=values,
+        out_channels=values,
+        down_block_types=("DownEncoderBlock2D",) * levels,
+        up_block_types=("UpDecoderBlock2D",) * levels,
+        block_out_channels=config.channels,
+        layers_per_block=config.layers,
+        latent_channels=config.latent_channels,
+        norm_num_groups=config.groups,
+        mid_block_add_attention=False,
+    )
+
+
+class AutoencoderTask:
+    """Reconstruct random crops: L1, and a little Kullback-Leibler divergence.
+
+    Args:
+        model: what is trained.
+        images: (N, H, W, 3) uint8.
+        batch: crops a step.
+        crop: their height and width.
+    """
+
+    def __init__(
+        self, model: Autoencoder, images: np.ndarray, batch: int, crop: tuple[int, int]
+    ) -> None:
+        self.model, self._images, self._batch, self._crop = model, images, batch, crop
+
+    def losses(self, rng: Rng) -> dict[str, Tensor]:
+        """Losses of one batch of crops, half of them mirrored."""
+        device = next(self.model.parameters()).device
+        crops = random_crops(self._images, self._batch, self._crop, rng.numpy).to(device)
+        with mixed_precision(device):
+            posterior = self.model.posterior(crops)
+            noise = torch.randn(posterior.mean.shape, generator=rng.torch).to(device)
+            decoded = self.model.decode_raw(posterior.mean + posterior.std * noise)
+        error = (decoded.float() - crops).abs().mean()
+        mean, logvar = posterior.mean.float(), posterior.logvar.float()
+        divergence = 0.5 * (mean.square() + logvar.exp() - 1 - logvar).mean()
+        return {"loss": error + KL_WEIGHT * divergence, "l1": error, "divergence": divergence}
+
+    @torch.inference_mode()
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """Images above their reconstructions."""
+        picked = self._images[:: max(1, len(self._images) // 6)][:6]
+        images = to_tensor(picked).to(next(model.parameters()).device)
+        decoded = model.decode_raw(model.posterior(images).mean)
+        rows = [torch.cat(list(part), dim=2) for part in (images, decoded)]
+        return to_arrays(torch.cat(rows, dim=1)[None])[0]
+
+
+def random_crops(
+    images: np.ndarray,  # [N, H, W, 3] uint8
+    count: int,
+    crop: tuple[int, int],
+    rng: np.random.Generator,
+) -> Tensor:
+    """[count, 3, h, w] random crops in [0, 1], half of them mirrored."""
+    height, width = crop
+    picked = rng.integers(len(images), size=count)
+    tops = rng.integers(images.shape[1] - height + 1, size=count)
+    lefts = rng.integers(images.shape[2] - width + 1, size=count)
+    mirrored = rng.random(count) < 0.5
+    crops = [
+        images[i, top : top + height, left : left + width][:, :: -1 if flip else 1]
+        for i, top, left, flip in zip(picked, tops, lefts, mirrored, strict=True)
+    ]
+    return to_tensor(np.stack(crops))
+
+
+def to_tensor(
+    images: np.ndarray,  # [B, H, W, 3] uint8 or float in [0, 1]
+) -> Tensor:
+    """[B, 3, H, W] float32 in [0, 1]."""
+    scale = 255.0 if images.dtype == np.uint8 else 1.0
+    return torch.from_numpy(np.ascontiguousarray(images.transpose(0, 3, 1, 2))).float() / scale
+
+
+def to_arrays(
+    images: Tensor,  # [B, 3, H, W]
+) -> np.ndarray:
+    """(B, H, W, 3) float32 clipped to [0, 1]."""
+    return images.float().clamp(0, 1).permute(0, 2, 3, 1).cpu().numpy()
