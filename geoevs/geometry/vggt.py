@@ -1,0 +1,267 @@
+"""VGGT: depth of all views of a frame, jointly, from their images alone (paper section 3.2).
+
+One network from a few million parameters, trained here, to the 1.2 billion of the public weights
+(github.com/facebookresearch/vggt), of which the parts that predict depth are kept.
+"""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import safetensors.torch
+import torch
+from safetensors import safe_open
+from torch import Tensor, nn
+
+from geoevs.errors import GeoEvsError
+from geoevs.geometry.vggt_head import DepthHead
+from geoevs.geometry.vggt_layers import Block, DinoEncoder, PatchEmbedding, rotary_tables
+from geoevs.io import whole_file, write_bytes
+
+# Of the images' colours, as DINOv2 was trained.
+COLOUR_MEAN = (0.485, 0.456, 0.406)
+COLOUR_STD = (0.229, 0.224, 0.225)
+
+# Metres: what an untrained network says everywhere, about the median depth of a street.
+INITIAL_DEPTH = 10.0
+
+# Of the public checkpoint: heads for other quantities, and a token of DINOv2's own training.
+UNUSED = ("camera_head.", "point_head.", "track_head.", "aggregator.patch_embed.mask_token")
+
+
+@dataclass(frozen=True)
+class VggtConfig:
+    """Sizes of a VGGT.
+
+    Args:
+        patch_size: pixels a side of a patch; images are multiples of it.
+        dim: channels of a token.
+        depth: pairs of frame and global attention.
+        heads: of every attention.
+        registers: register tokens of a view.
+        layer_scale: initial gain of every residual branch.
+        dino_depth: blocks of the DINOv2 encoder that embeds the patches; 0 is one linear map.
+        dino_grid: patches a side of its learned positions.
+        head_layers: the four pairs whose tokens the depth head reads.
+        head_channels: channels of its levels.
+        head_features: channels in which it fuses them.
+    """
+
+    patch_size: int
+    dim: int
+    depth: int
+    heads: int
+    head_layers: tuple[int, int, int, int]
+    head_channels: tuple[int, int, int, int]
+    head_features: int
+    registers: int = 4
+    layer_scale: float = 0.01
+    dino_depth: int = 0
+    dino_grid: int = 37
+
+
+# Few blocks need no gentle start: with the published gain of 0.01 they learn slower.
+VGGT_NANO = VggtConfig(
+    patch_size=8,
+    dim=192,
+    depth=4,
+    heads=3,
+    head_layers=(0, 1, 2, 3),
+    head_channels=(32, 48, 64, 64),
+    head_features=32,
+    layer_scale=0.1,
+)
+VGGT_1B = VggtConfig(
+    patch_size=14,
+    dim=1024,
+    depth=24,
+    heads=16,
+    head_layers=(4, 11, 17, 23),
+    head_channels=(256, 512, 1024, 1024),
+    head_features=256,
+    dino_depth=24,
+)
+
+
+class DepthPrediction(NamedTuple):
+    """Depth of every pixel, and how sure it is."""
+
+    depth: Tensor  # [B, V, H, W] positive; metres where trained on metres
+    confidence: Tensor  # [B, V, H, W] at least 1
+
+
+class Vggt(nn.Module):
+    """The network. Initial weights come from torch's global generator; see `new_vggt`."""
+
+    def __init__(self, config: VggtConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.aggregator = Aggregator(config)
+        self.depth_head = DepthHead(
+            2 * config.dim,
+            config.head_channels,
+            config.head_features,
+            initial=(math.log(INITIAL_DEPTH), 0.0),
+        )
+
+    def forward(self, images: Tensor) -> DepthPrediction:  # [B, V, 3, H, W] in [0, 1]
+        """Predict the depth of views that see one scene at one time.
+
+        Args:
+            images: of B scenes with V views each; the first view's tokens differ from the others'.
+
+        Returns:
+            Depth and confidence, (B, V, H, W).
+
+        Raises:
+            GeoEvsError: height or width is no multiple of the patch size.
+        """
+        height, width = size = images.shape[-2:]
+        patch = self.config.patch_size
+        if height % patch or width % patch:
+            raise GeoEvsError(
+                f"images of {height} x {width} do not divide into patches of {patch} x {patch}; "
+                f"resize them to {_multiple(height, patch)} x {_multiple(width, patch)}"
+            )
+        tokens = self.aggregator(images)
+        out = self.depth_head(tokens, (height // patch, width // patch), size)
+        log_depth, log_doubt = out.unflatten(0, images.shape[:2]).unbind(2)
+        return DepthPrediction(log_depth.exp(), 1 + log_doubt.exp())
+
+
+class Aggregator(nn.Module):
+    """Attention in turn within every view and over all views of a scene."""
+
+    def __init__(self, config: VggtConfig) -> None:
+        super().__init__()
+        self.config = config
+        dim, heads = config.dim, config.heads
+        if config.dino_depth:
+            self.patch_embed = DinoEncoder(
+                config.patch_size,
+                dim,
+                config.dino_depth,
+                heads,
+                config.registers,
+                config.dino_grid,
+            )
+        else:
+            self.patch_embed = PatchEmbedding(config.patch_size, dim)
+        self.frame_blocks = nn.ModuleList(
+            Block(dim, heads, config.layer_scale) for _ in range(config.depth)
+        )
+        self.global_blocks = nn.ModuleList(
+            Block(dim, heads, config.layer_scale) for _ in range(config.depth)
+        )
+        # Of the first view and of all others.
+        self.camera_token = nn.Parameter(1e-6 * torch.randn(1, 2, 1, dim))
+        self.register_token = nn.Parameter(1e-6 * torch.randn(1, 2, config.registers, dim))
+
+    def forward(self, images: Tensor) -> list[Tensor]:  # [B, V, 3, H, W] in [0, 1]
+        """Four of (B * V, patches, 2 C): `head_layers`' tokens after frame and global attention."""
+        scenes, views = images.shape[:2]
+        mean, std = (images.new_tensor(of)[:, None, None] for of in (COLOUR_MEAN, COLOUR_STD))
+        patches = self.patch_embed(((images - mean) / std).flatten(0, 1))
+        specials = torch.cat([self.camera_token, self.register_token], dim=2)
+        first = torch.arange(views, device=images.device).clamp(max=1)  # 0, 1, 1, ...
+        specials = specials[:, first].expand(scenes, -1, -1, -1).flatten(0, 1)
+        tokens = torch.cat([specials, patches], dim=1)
+
+        patch, count = self.config.patch_size, specials.shape[1]
+        rows, columns = images.shape[-2] // patch, images.shape[-1] // patch
+        head_dim = self.config.dim // self.config.heads
+        within = rotary_tables(rows, columns, count, head_dim, tokens)
+        across = tuple(table.repeat(views, 1) for table in within)
+
+        kept = []
+        for layer, (frame_block, global_block) in enumerate(
+            zip(self.frame_blocks, self.global_blocks, strict=True)
+        ):
+            framed = frame_block(tokens, within)
+            joint = global_block(framed.view(scenes, -1, self.config.dim), across)
+            tokens = joint.view_as(framed)
+            if layer in self.config.head_layers:
+                kept.append(torch.cat([framed, tokens], dim=-1)[:, count:])
+        return kept
+
+
+def new_vggt(config: VggtConfig, generator: torch.Generator) -> Vggt:
+    """An untrained network whose weights depend on nothing but `generator`."""
+    seed = int(torch.randint(2**62, (), generator=generator))
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(seed)
+        return Vggt(config)
+
+
+def save_vggt(model: Vggt, path: Path, dtype: torch.dtype = torch.float32) -> None:
+    """Write a network's weights and config as safetensors, whole or not at all.
+
+    Args:
+        model: on any device.
+        path: the .safetensors file.
+        dtype: what the weights are stored as; float16 halves the file.
+    """
+    weights = {
+        name: value.detach().to("cpu", dtype).contiguous()
+        for name, value in model.state_dict().items()
+    }
+    config = json.dumps(dataclasses.asdict(model.config))
+    write_bytes(path, safetensors.torch.save(weights, {"config": config}))
+
+
+def load_vggt(path: Path) -> Vggt:
+    """Read what `save_vggt` wrote, or the public 1.2 B checkpoint (.safetensors or .pt).
+
+    Returns:
+        The network in float32 on the CPU, in evaluation mode.
+
+    Raises:
+        GeoEvsError: the file is missing or damaged, or its weights do not fit the network.
+    """
+    path = Path(path)
+    with whole_file(path):
+        config, weights = _read(path)
+    weights = {name: value for name, value in weights.items() if not name.startswith(UNUSED)}
+    with torch.device("meta"):  # 1.2 billion random numbers would be made in vain
+        model = Vggt(config)
+    _check_weights(model, weights, path)
+    model.load_state_dict({name: value.float() for name, value in weights.items()}, assign=True)
+    return model.requires_grad_().eval()
+
+
+def _read(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
+    if path.suffix != ".safetensors":
+        return VGGT_1B, torch.load(path, map_location="cpu", weights_only=True)
+    with safe_open(path, "pt") as file:
+        metadata = file.metadata() or {}
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, no mapping
+    if "config" not in metadata:
+        return VGGT_1B, weights
+    values = json.loads(metadata["config"])
+    return VggtConfig(
+        **{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    ), weights
+
+
+def _check_weights(model: Vggt, weights: dict[str, Tensor], path: Path) -> None:
+    """Refuse weights that are not exactly the network's, naming the first that is not."""
+    wanted = model.state_dict()
+    advice = "use a file written by save_vggt, or the public VGGT-1B checkpoint"
+    for name, value in wanted.items():
+        if name not in weights:
+            raise GeoEvsError(f"{path} lacks '{name}'; {advice}")
+        if weights[name].shape != value.shape:
+            raise GeoEvsError(
+                f"{path} has '{name}' of shape {tuple(weights[name].shape)} where this network's "
+                f"is {tuple(value.shape)}; {advice}"
+            )
+    for name in weights:
+        if name not in wanted:
+            raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")
+
+
+def _multiple(length: int, patch: int) -> int:
+    return max(1, round(length / patch)) * patch
