@@ -1,0 +1,121 @@
+"""Training VGGT on driving frames: all views of a frame at once, camera poses never predicted.
+
+The paper fine-tunes with fixed camera poses, so depth alone is supervised (section 3.2): by dense
+truth on procedural scenes, by LiDAR elsewhere.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from geoevs.adapter import Rng
+from geoevs.errors import GeoEvsError
+from geoevs.geometry.depth_loss import depth_loss
+from geoevs.geometry.vggt import DepthPrediction, Vggt
+from geoevs.io import to_uint8
+from geoevs.projection import zbuffer
+from geoevs.scenes.depths import read_depths
+from geoevs.scenes.store import Scene
+from geoevs.training import mixed_precision
+
+FAR = 200.0
+"""Metres at which the sky is taught to lie, so that it is lifted like everything else."""
+
+DARKEST, BRIGHTEST = 0.7, 1.3  # exposures that a frame is trained at
+VIEWS = 3
+"""Of a frame that one step sees; the cost of global attention rises with their square."""
+
+
+@dataclass(frozen=True)
+class DepthFrames:
+    """Frames with what is known of their depth."""
+
+    images: np.ndarray  # [F, V, H, W, 3] uint8
+    depths: np.ndarray  # [F, V, H, W] float16 metres, 0 = unknown
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFrames:
+    """All frames of scenes: dense truth where `depths` has it (sky at FAR), else all LiDAR points.
+
+    Raises:
+        GeoEvsError: there is no scene, or the scenes differ in their cameras' number or size.
+    """
+    images, known = [], []
+    for folder, truth in zip(scenes, depths, strict=True):
+        scene = Scene(folder)
+        for frame in scene.frames:
+            images.append([to_uint8(scene.image(name, frame)) for name in scene.cameras])
+            dense = read_depths(truth, frame)
+            known.append(
+                [_dense(dense[n]) if dense else _sparse(scene, n, frame) for n in scene.cameras]
+            )
+    if not images:
+        raise GeoEvsError("there are no frames to learn depth from; name scenes in the config")
+    shapes = {np.shape(views) for views in images}
+    if len(shapes) > 1:
+        raise GeoEvsError(
+            f"scenes differ in their views ({', '.join(map(str, sorted(shapes)))}); train on those "
+            "of one rig and resolution"
+        )
+    return DepthFrames(np.array(images), np.array(known, np.float16))
+
+
+def _dense(depth: np.ndarray) -> np.ndarray:
+    return np.where(depth > 0, np.minimum(depth, FAR), FAR)
+
+
+def _sparse(scene: Scene, camera: str, frame: int) -> np.ndarray:
+    points = scene.points(frame).xyz
+    return zbuffer(points, scene.camera(camera, frame), visibility="footprint").depth
+
+
+class GeometryTask:
+    """Predict the depth of random frames, half of them mirrored, at random exposures.
+
+    Args:
+        model: what is trained.
+        frames: on what.
+        batch: frames a step.
+    """
+
+    def __init__(self, model: Vggt, frames: DepthFrames, batch: int) -> None:
+        self.model, self._frames, self._batch = model, frames, batch
+
+    def losses(self, rng: Rng) -> dict[str, Tensor]:
+        """The depth loss of one batch: VIEWS random views of each frame, in a random order."""
+        device = next(self.model.parameters()).device
+        random = rng.numpy
+        picked = random.integers(len(self._frames), size=self._batch)
+        order = random.permutation(self._frames.images.shape[1])[:VIEWS]
+        images = self._frames.images[picked][:, order].astype(np.float32) / 255
+        depths = self._frames.depths[picked][:, order].astype(np.float32)
+        if random.random() < 0.5:
+            images, depths = images[:, :, :, ::-1], depths[:, :, :, ::-1]
+        images = np.clip(images * random.uniform(DARKEST, BRIGHTEST), 0, 1)
+        seen = torch.from_numpy(np.ascontiguousarray(images)).permute(0, 1, 4, 2, 3).to(device)
+        known = torch.from_numpy(np.ascontiguousarray(depths)).to(device)
+        with mixed_precision(device):
+            prediction = self.model(seen)
+        prediction = DepthPrediction(*(part.float() for part in prediction))
+        with torch.no_grad():
+            relative = ((prediction.depth - known).abs() / known)[known > 0].mean()
+        return {"loss": depth_loss(prediction, known), "relative_error": relative}
+
+    @torch.inference_mode()
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """Views of one frame above what is known of their inverse depth, and what is predicted."""
+        device = next(model.parameters()).device
+        images = self._frames.images[len(self._frames) // 2].astype(np.float32) / 255
+        known = self._frames.depths[len(self._frames) // 2].astype(np.float32)
+        seen = torch.from_numpy(images).permute(0, 3, 1, 2)[None].to(device)
+        predicted = model(seen).depth[0].cpu().numpy()
+        near = np.where(known > 0, 4 / np.maximum(known, 4), 0), 4 / np.maximum(predicted, 4)
+        rows = [images, *(np.repeat(part[..., None], 3, axis=-1) for part in near)]
+        return np.concatenate([np.concatenate(list(row), axis=1) for row in rows])
