@@ -110,6 +110,10 @@ class Views:
         self.frames: tuple[int, ...] = scene.frames
         self.rig: Rig = scene.info.rig
 
+    def has(self, need: str) -> bool:
+        """Whether the method declared `need`, so that it may be read."""
+        return need in self._needs
+
     def camera(self, name: str, frame: int) -> Camera:
         """A source camera's calibration."""
         self._allow(name)
@@ -145,7 +149,7 @@ class Views:
         info = dataclasses.replace(self._scene.info, cameras=self.cameras)
         frames = (self._frame(frame) for frame in self.frames)
         tracks = self._scene.tracks
-        write_scene(folder, info, tracks if "tracks" in self._needs else tracks[:0], frames)
+        write_scene(folder, info, tracks if self.has("tracks") else tracks[:0], frames)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
@@ -156,7 +160,7 @@ class Views:
     def _frame(self, frame: int) -> Frame:
         cameras = {name: self.camera(name, frame) for name in self.cameras}
         images = {name: self.image(name, frame) for name in self.cameras}
-        if "lidar" in self._needs:
+        if self.has("lidar"):
             points = self.lidar(frame)
         else:
             points = PointCloud.uncoloured(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -170,7 +174,7 @@ class Views:
             )
 
     def _require(self, need: str) -> None:
-        if need not in self._needs:
+        if not self.has(need):
             raise GeoEvsError(
                 f"the method reads {need} without declaring it; add '{need}' to MethodInfo.needs"
             )

@@ -54,14 +54,11 @@ def _gradient_term(
     valid: Tensor,  # [B, V, H, W] bool
     scale: int,
 ) -> Tensor:
-    """Mean difference between the errors of pixels `scale` apart, down and across."""
+    """Mean difference between the errors of pixels `scale` apart, across and down."""
     differences = []
-    for axis in (-2, -1):
-        if (length := error.shape[axis] - scale) <= 0:
-            continue
-        pairs = valid.narrow(axis, 0, length) & valid.narrow(axis, scale, length)
-        difference = error.narrow(axis, scale, length) - error.narrow(axis, 0, length)
-        differences.append(difference[pairs].abs())
+    for e, v in ((error, valid), (error.mT, valid.mT)):
+        pairs = v[..., scale:] & v[..., :-scale]
+        differences.append((e[..., scale:] - e[..., :-scale])[pairs].abs())
     return _mean(torch.cat(differences))
 
 

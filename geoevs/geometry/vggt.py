@@ -7,6 +7,7 @@ One network from a few million parameters, trained here, to the 1.2 billion of t
 import dataclasses
 import json
 import math
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -46,8 +47,8 @@ class VggtConfig:
         dino_depth: blocks of the DINOv2 encoder that embeds the patches; 0 is one linear map.
         dino_grid: patches a side of its learned positions.
         head_layers: the four pairs whose tokens the depth head reads.
-        head_channels: channels of its levels.
-        head_features: channels in which it fuses them.
+        head_channels: channels of its levels, the finest first, multiples of 4.
+        head_features: channels in which it fuses them, a multiple of 8.
     """
 
     patch_size: int
@@ -62,8 +63,13 @@ class VggtConfig:
     dino_depth: int = 0
     dino_grid: int = 37
 
+    def nearest_size(self, height: int, width: int) -> tuple[int, int]:
+        """The height and width nearest to these that divide into patches."""
+        patch = self.patch_size
+        return max(1, round(height / patch)) * patch, max(1, round(width / patch)) * patch
 
-# Few blocks need no gentle start: with the published gain of 0.01 they learn slower.
+
+# At the published gain of 0.01 the loss of so few blocks rose before it fell (Adam at 1e-3).
 VGGT_NANO = VggtConfig(
     patch_size=8,
     dim=192,
@@ -122,14 +128,15 @@ class Vggt(nn.Module):
         height, width = size = images.shape[-2:]
         patch = self.config.patch_size
         if height % patch or width % patch:
+            nearest = self.config.nearest_size(height, width)
             raise GeoEvsError(
                 f"images of {height} x {width} do not divide into patches of {patch} x {patch}; "
-                f"resize them to {_multiple(height, patch)} x {_multiple(width, patch)}"
+                f"resize them to {nearest[0]} x {nearest[1]}"
             )
         tokens = self.aggregator(images)
         out = self.depth_head(tokens, (height // patch, width // patch), size)
-        log_depth, log_doubt = out.unflatten(0, images.shape[:2]).unbind(2)
-        return DepthPrediction(log_depth.exp(), 1 + log_doubt.exp())
+        log_depth, log_excess = out.unflatten(0, images.shape[:2]).unbind(2)
+        return DepthPrediction(log_depth.exp(), 1 + log_excess.exp())
 
 
 class Aggregator(nn.Module):
@@ -219,31 +226,35 @@ def load_vggt(path: Path) -> Vggt:
         The network in float32 on the CPU, in evaluation mode.
 
     Raises:
-        GeoEvsError: the file is missing or damaged, or its weights do not fit the network.
+        GeoEvsError: the file is missing, damaged or holds more than tensors, or its weights do
+            not fit the network.
     """
     path = Path(path)
-    with whole_file(path):
-        config, weights = _read(path)
+    config, weights = _read_safetensors(path) if path.suffix == ".safetensors" else _read_pt(path)
     weights = {name: value for name, value in weights.items() if not name.startswith(UNUSED)}
     with torch.device("meta"):  # 1.2 billion random numbers would be made in vain
         model = Vggt(config)
     _check_weights(model, weights, path)
     model.load_state_dict({name: value.float() for name, value in weights.items()}, assign=True)
-    return model.requires_grad_().eval()
+    return model.eval()
 
 
-def _read(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
-    if path.suffix != ".safetensors":
-        return VGGT_1B, torch.load(path, map_location="cpu", weights_only=True)
-    with safe_open(path, "pt") as file:
-        metadata = file.metadata() or {}
-        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, no mapping
-    if "config" not in metadata:
-        return VGGT_1B, weights
-    values = json.loads(metadata["config"])
-    return VggtConfig(
-        **{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    ), weights
+def _read_safetensors(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
+    with whole_file(path), safe_open(path, "pt") as file:
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        stored = json.loads((file.metadata() or {}).get("config", "null"))
+        if stored is None:
+            return VGGT_1B, weights
+        lists_as_tuples = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
+        return VggtConfig(**lists_as_tuples), weights
+
+
+def _read_pt(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
+    with whole_file(path):
+        try:
+            return VGGT_1B, dict(torch.load(path, map_location="cpu", weights_only=True))
+        except pickle.UnpicklingError:  # its own text is a page
+            raise ValueError("it holds more than plain tensors") from None
 
 
 def _check_weights(model: Vggt, weights: dict[str, Tensor], path: Path) -> None:
@@ -261,7 +272,3 @@ def _check_weights(model: Vggt, weights: dict[str, Tensor], path: Path) -> None:
     for name in weights:
         if name not in wanted:
             raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")
-
-
-def _multiple(length: int, patch: int) -> int:
-    return max(1, round(length / patch)) * patch

@@ -17,9 +17,10 @@ class DepthHead(nn.Module):
 
     Args:
         dim: channels of the tokens it reads.
-        channels: of the four levels, the finest first; the finest and coarsest differ eightfold.
+        channels: of the four levels, the finest first, multiples of 4; the finest has eight times
+            the coarsest's resolution.
         features: channels in which they are fused, a multiple of 8.
-        initial: what the untrained head gives, about.
+        initial: what the untrained head gives, about, an output each.
     """
 
     def __init__(

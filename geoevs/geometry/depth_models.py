@@ -1,0 +1,168 @@
+"""Depth of a frame's source views, by the model's name (paper section 3.2)."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from geoevs.adapter import Views
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.geometry.lift import lidar_depths
+from geoevs.geometry.scale import fit_scale
+from geoevs.io import to_uint8
+from geoevs.projection import zbuffer
+
+# torch is imported where a network is made: it takes seconds, and names are listed without one.
+
+
+class DepthModel(Protocol):
+    """Gives the source views of a frame their depth."""
+
+    def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
+        """(H, W) float32 metres by camera, 0 = none."""
+        ...
+
+
+def make_depth_model(name: str, weights: Path | None) -> DepthModel:
+    """The depth model `name`, one of DEPTH_MODELS.
+
+    Args:
+        name: `lidar`, `vggt-nano`, `vggt-1b` or `depth-anything-3`.
+        weights: of a VGGT, a file (see `load_vggt`); of Depth Anything 3, a folder as its
+            repositories on Hugging Face are; of `lidar`, None.
+
+    Raises:
+        GeoEvsError: there is no such model, its weights are missing or not its own, or it needs a
+            package that is not installed.
+    """
+    if name not in DEPTH_MODELS:
+        raise GeoEvsError(f"there is no depth model '{name}'; {did_you_mean(name, DEPTH_MODELS)}")
+    if name == "lidar":
+        if weights is not None:
+            raise GeoEvsError(f"depth model 'lidar' has no weights; leave out {weights}")
+        return LidarDepth()
+    if weights is None:
+        raise GeoEvsError(f"depth model '{name}' needs weights; give their path")
+    return DEPTH_MODELS[name](weights)
+
+
+class LidarDepth:
+    """The LiDAR's own depth, completed (see `complete_depth`)."""
+
+    def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
+        """(H, W) float32 metres by camera, 0 = none."""
+        return lidar_depths(views, frame)
+
+
+class NetworkDepth(ABC):
+    """Depth that a network predicts of all views at once; LiDAR, where allowed, sets its scale."""
+
+    @abstractmethod
+    def predict(
+        self,
+        images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Depth, and confidence if there is one, each [V, h, w] of any height and width."""
+
+    def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
+        """(H, W) float32 metres by camera, 0 = none."""
+        images = np.stack([views.image(name, frame) for name in views.cameras])
+        # Depth must not blend across edges, so whatever its resolution, the nearest is taken.
+        depth, confidence = (
+            _resize(maps, images.shape[1:3], cv2.INTER_NEAREST_EXACT) if maps is not None else None
+            for maps in self.predict(images)
+        )
+        if views.has("lidar"):
+            points = views.lidar(frame).xyz
+            for number, name in enumerate(views.cameras):
+                camera = views.camera(name, frame)
+                depth[number] = fit_scale(
+                    depth[number],
+                    None if confidence is None else confidence[number],
+                    zbuffer(points, camera, visibility="footprint").depth,
+                    camera,
+                )
+        return dict(zip(views.cameras, depth, strict=True))
+
+
+class VggtDepth(NetworkDepth):
+    """VGGT of any size, on the GPU if there is one."""
+
+    def __init__(self, weights: Path) -> None:
+        import torch
+
+        from geoevs.geometry.vggt import load_vggt
+
+        self.model = load_vggt(weights).to("cuda" if torch.cuda.is_available() else "cpu")
+
+    def predict(
+        self,
+        images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Depth and confidence at the nearest size that divides into patches."""
+        import torch
+
+        size = self.model.config.nearest_size(*images.shape[1:3])
+        batch = torch.from_numpy(_resize(images, size, cv2.INTER_LINEAR)).permute(0, 3, 1, 2)
+        with torch.inference_mode():
+            prediction = self.model(batch[None].to(next(self.model.parameters()).device))
+        return tuple(maps[0].cpu().numpy() for maps in prediction)
+
+
+class DepthAnything3Depth(NetworkDepth):
+    """Depth Anything 3 through its own package, on the GPU if there is one."""
+
+    def __init__(self, weights: Path) -> None:
+        import torch
+
+        try:
+            from depth_anything_3.api import DepthAnything3
+        except ImportError as error:
+            raise GeoEvsError(
+                f"depth model 'depth-anything-3' cannot be imported ({error}); run `pip install "
+                "git+https://github.com/ByteDance-Seed/Depth-Anything-3`"
+            ) from error
+        if not Path(weights).is_dir():
+            raise GeoEvsError(
+                f"{weights} is no folder of Depth Anything 3 weights; download one of its "
+                "repositories there with `hf download`"
+            )
+        model = DepthAnything3.from_pretrained(str(weights))
+        self.model = model.to("cuda" if torch.cuda.is_available() else "cpu")
+
+    def predict(
+        self,
+        images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Depth and confidence at the size it works in.
+
+        It is not told the poses: it would take its scale from the distances between cameras,
+        which on a vehicle are too short for that, and it refuses cameras in one line.
+        """
+        prediction = self.model.inference([to_uint8(image) for image in images])
+        return prediction.depth, prediction.conf
+
+
+DEPTH_MODELS: dict[str, Callable[..., DepthModel]] = {
+    "lidar": LidarDepth,
+    "vggt-nano": VggtDepth,
+    "vggt-1b": VggtDepth,
+    "depth-anything-3": DepthAnything3Depth,
+}
+
+
+def _resize(
+    maps: np.ndarray,  # [V, h, w] or [V, h, w, C]
+    size: tuple[int, int],
+    interpolation: int,
+) -> np.ndarray:
+    """The maps at height and width `size`, as float32 of their own."""
+    return np.stack(
+        [
+            cv2.resize(one.astype(np.float32), size[::-1], interpolation=interpolation)
+            for one in maps
+        ]
+    )
