@@ -4,8 +4,6 @@ A small autoencoder keeps more of an image if its first layer loses nothing: pix
 channels, and all convolutions run at latent resolution.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -15,26 +13,24 @@ from torch import Tensor, nn
 from geoevs.adapter import Rng
 from geoevs.training import mixed_precision
 
+NANO_BLOCK = 4
 KL_WEIGHT = 1e-5
 
 
-@dataclass(frozen=True)
-class AutoencoderConfig:
-    """Shape of an autoencoder; the defaults are the nano one that this suite pretrains.
-
-    Args:
-        block: side of the pixel blocks that become channels, lossless.
-        channels: of the convolutions at each resolution; each after the first halves it.
-        layers: residual blocks at each resolution.
-        latent_channels: of a latent.
-        groups: of the group normalisation.
-    """
-
-    block: int = 4
-    channels: tuple[int, ...] = (128,)
-    layers: int = 2
-    latent_channels: int = 8
-    groups: int = 16
+def nano_autoencoder() -> AutoencoderKL:
+    """The untrained network of this suite's own autoencoder; pixels come in blocks of NANO_BLOCK."""
+    values = 3 * NANO_BLOCK**2
+    return AutoencoderKL(
+        in_channels=values,
+        out_channels=values,
+        down_block_types=("DownEncoderBlock2D",),
+        up_block_types=("UpDecoderBlock2D",),
+        block_out_channels=(128,),
+        layers_per_block=2,
+        latent_channels=8,
+        norm_num_groups=16,
+        mid_block_add_attention=False,
+    )
 
 
 class Autoencoder(nn.Module):
@@ -42,20 +38,23 @@ class Autoencoder(nn.Module):
 
     `shift` and `scale` make latents zero-mean with unit variance per channel, as the diffusion
     process assumes; `fit_statistics` measures them.
+
+    Args:
+        network: of blocks of pixels.
+        block: side of the blocks that become channels, lossless; 1 for public networks.
     """
 
-    def __init__(self, config: AutoencoderConfig, network: AutoencoderKL | None = None) -> None:
+    def __init__(self, network: AutoencoderKL, block: int = 1) -> None:
         super().__init__()
-        self.config = config
-        self.network = network or _build(config)
-        channels = self.network.config.latent_channels
-        self.register_buffer("shift", torch.zeros(1, channels, 1, 1))
-        self.register_buffer("scale", torch.ones(1, channels, 1, 1))
+        self.network, self.block = network, block
+        shape = 1, network.config.latent_channels, 1, 1
+        self.register_buffer("shift", torch.zeros(shape))
+        self.register_buffer("scale", torch.ones(shape))
 
     @property
     def factor(self) -> int:
         """Pixels of an image per latent pixel, each way."""
-        return self.config.block * 2 ** (len(self.network.config.block_out_channels) - 1)
+        return self.block * 2 ** (len(self.network.config.block_out_channels) - 1)
 
     @property
     def latent_channels(self) -> int:
@@ -64,7 +63,7 @@ class Autoencoder(nn.Module):
 
     def posterior(self, images: Tensor) -> torch.distributions.Distribution:
         """Diagonal Gaussian over raw latents of [B, 3, H, W] images in [0, 1]."""
-        blocks = F.pixel_unshuffle(images * 2 - 1, self.config.block)
+        blocks = F.pixel_unshuffle(images * 2 - 1, self.block)
         return self.network.encode(blocks).latent_dist
 
     def encode(
@@ -84,7 +83,7 @@ class Autoencoder(nn.Module):
     def decode_raw(self, latents: Tensor) -> Tensor:
         """Decode latents as the network has them, before normalisation."""
         blocks = self.network.decode(latents).sample
-        return (F.pixel_shuffle(blocks, self.config.block) + 1) / 2
+        return (F.pixel_shuffle(blocks, self.block) + 1) / 2
 
     @torch.no_grad()
     def fit_statistics(
@@ -95,22 +94,6 @@ class Autoencoder(nn.Module):
         raw = self.posterior(images).mean
         self.shift.copy_(raw.mean(dim=(0, 2, 3), keepdim=True))
         self.scale.copy_(raw.std(dim=(0, 2, 3), keepdim=True))
-
-
-def _build(config: AutoencoderConfig) -> AutoencoderKL:
-    levels = len(config.channels)
-    values = 3 * config.block**2
-    return AutoencoderKL(
-        in_channels=values,
-        out_channels=values,
-        down_block_types=("DownEncoderBlock2D",) * levels,
-        up_block_types=("UpDecoderBlock2D",) * levels,
-        block_out_channels=config.channels,
-        layers_per_block=config.layers,
-        latent_channels=config.latent_channels,
-        norm_num_groups=config.groups,
-        mid_block_add_attention=False,
-    )
 
 
 class AutoencoderTask:

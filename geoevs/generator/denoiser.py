@@ -1,57 +1,36 @@
-"""The denoiser: a UNet that sees [z_t, c], with a null condition for guidance (paper section 3.3)."""
-
-from dataclasses import dataclass
+"""The denoiser: a UNet that sees [z_t, c], and a null condition for guidance (section 3.3)."""
 
 import torch
 from diffusers import UNet2DConditionModel
 from torch import Tensor, nn
 
 
-@dataclass(frozen=True)
-class DenoiserConfig:
-    """Shape of the UNet; the defaults are the nano one that this suite pretrains.
+def nano_unet(latent_channels: int) -> UNet2DConditionModel:
+    """The untrained UNet of this suite's own prior, in the layout of Stable Diffusion's.
 
-    Args:
-        channels: of the convolutions at each resolution.
-        layers: residual blocks at each resolution.
-        groups: of the group normalisation.
-        head: channels of an attention head; only the lowest resolution attends.
-        context: channels of the token that stands in for a text prompt.
+    Only its lowest resolution attends, also to the one token in a text prompt's place.
     """
-
-    channels: tuple[int, ...] = (64, 96, 128)
-    layers: int = 1
-    groups: int = 16
-    head: int = 32
-    context: int = 32
-
-
-def build_unet(config: DenoiserConfig, latent_channels: int) -> UNet2DConditionModel:
-    """An unconditional UNet over latents, in the layout of Stable Diffusion's."""
-    plain = len(config.channels) - 1
     return UNet2DConditionModel(
         in_channels=latent_channels,
         out_channels=latent_channels,
-        block_out_channels=config.channels,
-        layers_per_block=config.layers,
-        norm_num_groups=config.groups,
-        down_block_types=("DownBlock2D",) * plain + ("CrossAttnDownBlock2D",),
-        up_block_types=("CrossAttnUpBlock2D",) + ("UpBlock2D",) * plain,
+        block_out_channels=(64, 96, 128),
+        layers_per_block=1,
+        norm_num_groups=16,
+        down_block_types=("DownBlock2D", "DownBlock2D", "CrossAttnDownBlock2D"),
+        up_block_types=("CrossAttnUpBlock2D", "UpBlock2D", "UpBlock2D"),
         mid_block_type="UNetMidBlock2DCrossAttn",
-        cross_attention_dim=config.context,
-        attention_head_dim=config.channels[-1] // config.head,
+        cross_attention_dim=32,
+        attention_head_dim=4,  # diffusers' name for the number of heads
     )
 
 
 class Denoiser(nn.Module):
     """Predicts from [z_t, c] and t what the schedule asks for: noise, velocity or the clean latent.
 
-    The UNet keeps the weights that it had without a condition; its first layer is widened by
-    zeros, so that training starts from the prior. The null condition and the token in the prompt's
-    place are learned.
+    The null condition and the token in a text prompt's place are learned.
 
     Args:
-        unet: over the latents alone.
+        unet: reads the latents' channels, then the encoder's (see `widen`).
         encoder: E_geo, or None for an unconditional prior.
     """
 
@@ -60,7 +39,6 @@ class Denoiser(nn.Module):
         self.unet, self.encoder = unet, encoder
         self.prompt = nn.Parameter(torch.zeros(1, 1, unet.config.cross_attention_dim))
         if encoder is not None:
-            _widen(unet, encoder.channels)
             self.null = nn.Parameter(torch.zeros(1, encoder.channels, 1, 1))
 
     def features(
@@ -87,8 +65,8 @@ class Denoiser(nn.Module):
         return self.unet(seen, timesteps, encoder_hidden_states=prompt).sample
 
 
-def _widen(unet: UNet2DConditionModel, channels: int) -> None:
-    """Let the UNet's first layer read `channels` more, which change nothing at first."""
+def widen(unet: UNet2DConditionModel, channels: int) -> None:
+    """Let a UNet's first layer read `channels` more, which change nothing until it is trained."""
     old = unet.conv_in
     new = nn.Conv2d(
         old.in_channels + channels, old.out_channels, old.kernel_size, padding=old.padding

@@ -5,22 +5,20 @@ One network from a few million parameters, trained here, to the 1.2 billion of t
 """
 
 import dataclasses
-import json
 import math
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import safetensors.torch
 import torch
-from safetensors import safe_open
 from torch import Tensor, nn
 
 from geoevs.errors import GeoEvsError
 from geoevs.geometry.vggt_head import DepthHead
 from geoevs.geometry.vggt_layers import Block, DinoEncoder, PatchEmbedding, rotary_tables
-from geoevs.io import whole_file, write_bytes
+from geoevs.io import whole_file
+from geoevs.network_files import load_weights, read_network, save_network
 
 # Of the images' colours, as DINOv2 was trained.
 COLOUR_MEAN = (0.485, 0.456, 0.406)
@@ -211,12 +209,7 @@ def save_vggt(model: Vggt, path: Path, dtype: torch.dtype = torch.float32) -> No
         path: the .safetensors file.
         dtype: what the weights are stored as; float16 halves the file.
     """
-    weights = {
-        name: value.detach().to("cpu", dtype).contiguous()
-        for name, value in model.state_dict().items()
-    }
-    config = json.dumps(dataclasses.asdict(model.config))
-    write_bytes(path, safetensors.torch.save(weights, {"config": config}))
+    save_network(path, model, dataclasses.asdict(model.config), dtype)
 
 
 def load_vggt(path: Path) -> Vggt:
@@ -234,19 +227,21 @@ def load_vggt(path: Path) -> Vggt:
     weights = {name: value for name, value in weights.items() if not name.startswith(UNUSED)}
     with torch.device("meta"):  # 1.2 billion random numbers would be made in vain
         model = Vggt(config)
-    _check_weights(model, weights, path)
-    model.load_state_dict({name: value.float() for name, value in weights.items()}, assign=True)
+    advice = "use a file written by save_vggt, or the public VGGT-1B checkpoint"
+    load_weights(model, weights, path, advice)
     return model.eval()
 
 
 def _read_safetensors(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
-    with whole_file(path), safe_open(path, "pt") as file:
-        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        stored = json.loads((file.metadata() or {}).get("config", "null"))
-        if stored is None:
-            return VGGT_1B, weights
-        lists_as_tuples = {k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
-        return VggtConfig(**lists_as_tuples), weights
+    stored, weights = read_network(path)
+    if stored is None:
+        return VGGT_1B, weights
+    try:
+        return VggtConfig(
+            **{k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()}
+        ), weights
+    except TypeError as error:
+        raise GeoEvsError(f"{path} holds another network ({error}); name a VGGT") from error
 
 
 def _read_pt(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
@@ -255,20 +250,3 @@ def _read_pt(path: Path) -> tuple[VggtConfig, dict[str, Tensor]]:
             return VGGT_1B, dict(torch.load(path, map_location="cpu", weights_only=True))
         except pickle.UnpicklingError:  # its own text is a page
             raise ValueError("it holds more than plain tensors") from None
-
-
-def _check_weights(model: Vggt, weights: dict[str, Tensor], path: Path) -> None:
-    """Refuse weights that are not exactly the network's, naming the first that is not."""
-    wanted = model.state_dict()
-    advice = "use a file written by save_vggt, or the public VGGT-1B checkpoint"
-    for name, value in wanted.items():
-        if name not in weights:
-            raise GeoEvsError(f"{path} lacks '{name}'; {advice}")
-        if weights[name].shape != value.shape:
-            raise GeoEvsError(
-                f"{path} has '{name}' of shape {tuple(weights[name].shape)} where this network's "
-                f"is {tuple(value.shape)}; {advice}"
-            )
-    for name in weights:
-        if name not in wanted:
-            raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")

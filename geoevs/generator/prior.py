@@ -1,0 +1,133 @@
+"""Starting weights by name: this suite's own nano prior, or a public latent-diffusion model."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
+from huggingface_hub.errors import HFValidationError
+
+from geoevs.errors import GeoEvsError
+from geoevs.generator.autoencoder import Autoencoder
+from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
+from geoevs.generator.denoiser import Denoiser
+from geoevs.generator.diffusion import Diffusion
+from geoevs.network_files import load_weights, read_network, save_network
+
+NANO = "nano"
+AUTOENCODER_FILE, PRIOR_FILE = "autoencoder.safetensors", "prior.safetensors"
+REMAKE = "make it again (ours come from `snakemake pretrain`, trained ones from `geoevs train`)"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What training starts from: an autoencoder and an unconditional UNet over its latents."""
+
+    autoencoder: Autoencoder
+    unet: UNet2DConditionModel
+    diffusion: Diffusion
+
+
+def load_prior(name: str, weights: Path) -> Prior:
+    """The prior called `name`.
+
+    Args:
+        name: `nano`, a repository such as `stabilityai/stable-diffusion-2-1-base` whose weights
+            are on this machine, or a folder in that layout (`vae/`, `unet/`, `scheduler/`).
+        weights: the folder of this suite's own pretrained weights.
+
+    Raises:
+        GeoEvsError: the weights are not on the machine, damaged, or of another shape.
+    """
+    if name != NANO:
+        return _public_prior(name)
+    autoencoder = load_autoencoder(weights / AUTOENCODER_FILE)
+    denoiser, diffusion = load_denoiser(weights / PRIOR_FILE, autoencoder)
+    if denoiser.unet.config.in_channels != autoencoder.latent_channels:
+        raise GeoEvsError(
+            f"{weights / PRIOR_FILE} reads {denoiser.unet.config.in_channels} channels but latents "
+            f"have {autoencoder.latent_channels}; {REMAKE}"
+        )
+    return Prior(autoencoder, denoiser.unet, diffusion)
+
+
+def save_autoencoder(
+    path: Path, autoencoder: Autoencoder, dtype: torch.dtype = torch.float32
+) -> None:
+    """Write an autoencoder, whole or not at all."""
+    settings = {"block": autoencoder.block, "network": _plain(autoencoder.network.config)}
+    save_network(path, autoencoder, settings, dtype)
+
+
+def load_autoencoder(path: Path) -> Autoencoder:
+    """Read what `save_autoencoder` wrote."""
+    settings, weights = read_network(path)
+    _check_settings(path, settings, {"block", "network"})
+    autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
+    load_weights(autoencoder, weights, path, REMAKE)
+    return autoencoder.eval()
+
+
+def save_denoiser(
+    path: Path, denoiser: Denoiser, diffusion: Diffusion, dtype: torch.dtype = torch.float32
+) -> None:
+    """Write a denoiser with its condition encoder and its process, whole or not at all."""
+    encoder = denoiser.encoder
+    kind: dict[str, Any] | str | None = None
+    if isinstance(encoder, FrozenEncoder):
+        kind = "frozen"
+    elif encoder is not None:
+        kind = {name: getattr(encoder, name) for name in ("factor", "channels", "validity")}
+    settings = {
+        "unet": _plain(denoiser.unet.config),
+        "encoder": kind,
+        "diffusion": asdict(diffusion),
+    }
+    save_network(path, denoiser, settings, dtype)
+
+
+def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffusion]:
+    """Read what `save_denoiser` wrote; a frozen encoder takes the autoencoder."""
+    settings, weights = read_network(path)
+    _check_settings(path, settings, {"unet", "encoder", "diffusion"})
+    encoder = settings["encoder"]
+    if encoder == "frozen":
+        encoder = FrozenEncoder(autoencoder)
+    elif encoder is not None:
+        encoder = ConditionEncoder(**encoder)
+    denoiser = Denoiser(UNet2DConditionModel.from_config(settings["unet"]), encoder)
+    load_weights(denoiser, weights, path, REMAKE)
+    return denoiser.eval(), Diffusion(**settings["diffusion"])
+
+
+def _public_prior(name: str) -> Prior:
+    """Read a model in diffusers' layout from a folder or the local cache; nothing is downloaded."""
+    local = {"local_files_only": True}
+    try:
+        network = AutoencoderKL.from_pretrained(name, subfolder="vae", **local)
+        unet = UNet2DConditionModel.from_pretrained(name, subfolder="unet", **local)
+        noise = DDIMScheduler.from_pretrained(name, subfolder="scheduler", **local).config
+    except (OSError, ValueError, HFValidationError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise GeoEvsError(
+            f"prior '{name}' is not on this machine ({reason}); download it with `hf download "
+            f"{name}`, give its folder, or set training.prior to {NANO}"
+        ) from error
+    autoencoder = Autoencoder(network)
+    autoencoder.scale.fill_(1 / network.config.scaling_factor)
+    autoencoder.shift.fill_(network.config.shift_factor or 0.0)
+    diffusion = Diffusion(
+        noise.prediction_type, noise.beta_schedule, noise.beta_start, noise.beta_end
+    )
+    return Prior(autoencoder.eval(), unet, diffusion)
+
+
+def _plain(config: dict[str, Any]) -> dict[str, Any]:
+    """A diffusers config without its private notes."""
+    return {name: value for name, value in config.items() if not name.startswith("_")}
+
+
+def _check_settings(path: Path, settings: dict[str, Any] | None, keys: set[str]) -> None:
+    if settings is None or settings.keys() != keys:
+        raise GeoEvsError(f"{path} does not say what network it holds; {REMAKE}")
