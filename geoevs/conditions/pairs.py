@@ -56,25 +56,16 @@ def make_pairs(scene: Scene, point_maps: PointMaps, advance: Callable[[], None])
         point_maps: depth of its views.
         advance: called after each frame.
     """
-    keys = [(frame, name) for frame in scene.frames for name in scene.cameras]
-    rgb, valid, target = [], [], []
+    rows = []
     for frame in scene.frames:
         for name in scene.cameras:
             image = scene.image(name, frame)
             depth = point_maps.depth(name, frame)
-            raster = condition_map(image, depth, scene.camera(name, frame))
-            rgb.append(to_uint8(raster.image))
-            valid.append(raster.mask)
-            target.append(to_uint8(image))
+            x = condition_map(image, depth, scene.camera(name, frame))
+            rgb, target = to_uint8(x.image), to_uint8(image)
+            rows.append((rgb, x.mask, target, scene.info.name, name, frame))
         advance()
-    return Pairs(
-        rgb=np.stack(rgb),
-        valid=np.stack(valid),
-        target=np.stack(target),
-        scene=np.full(len(keys), scene.info.name),
-        camera=np.array([name for _, name in keys]),
-        frame=np.array([frame for frame, _ in keys]),
-    )
+    return Pairs(*map(np.array, zip(*rows, strict=True)))
 
 
 def write_pairs(path: Path, pairs: Pairs) -> None:
