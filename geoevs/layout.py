@@ -2,6 +2,11 @@
 
 SCENE = "scenes/{dataset}/{scene}"
 DEPTHS = "depths/{dataset}/{scene}"
+POINT_MAPS = "point-maps/{dataset}/{scene}.npz"
+PAIRS = "pairs/{dataset}/{scene}.npz"
+ARTIFACT_MASKS = "artifact-masks/{dataset}/{scene}.npz"
+MASK_LIBRARY = "artifact-masks/library.npz"
+MASK_FIGURE = "figures/artifact-masks.png"
 TARGETS = "targets/{dataset}/{scene}.json"
 TRUTH = "truth/{dataset}/{scene}"
 REFERENCES = "references/{dataset}/{scene}.npz"

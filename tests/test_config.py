@@ -36,6 +36,9 @@ tables:
   support_bins: [0, 0.1]
   resamples: 100
   confidence: 0.95
+geometry: {model: lidar}
+conditions:
+  masks: {yaw: [0, 1], lateral: [-2, 2]}
 """
 
 
@@ -176,6 +179,12 @@ MISTAKES = {
     "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "22: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
+    "a mask beyond the side camera": (
+        "[0, 1], lateral",
+        "[0, 1.5], lateral",
+        "28: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+    ),
+    "no masks": ("[-2, 2]", "[]", "28: 'conditions.masks.lateral' is wrong: [] "),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "16: 'budget.fit_seconds' is wrong: 0 is"),
 }
 
@@ -217,6 +226,17 @@ def test_data_sets_of_one_source_share_scenes_within_a_partition_only(check):
     check("protocol:", second('"002@15-30"'))
     with pytest.raises(GeoEvsError, match=r":12: data set 'again' has scene '002@5-12' in part"):
         check("protocol:", second('"002@5-12"'))
+
+
+@pytest.mark.parametrize("other", ["pretrain", "geometry", "validation", "test"])
+def test_no_frame_trains_and_serves_another_partition(check, other):
+    trained = 'train: ["001", "002@0-9"]'
+    shared = {"test": '"002@9-19"'}.get(other, '"002@10-19"')
+    partition = "" if other == "test" else f'{other}: ["002@9-9"]\n      '
+    with pytest.raises(GeoEvsError, match=r"has scene '002@.*; a frame may serve one partition"):
+        check(
+            f'{trained}\n      test: ["002@10-19"]', f"{trained}\n      {partition}test: [{shared}]"
+        )
 
 
 def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
-"""Arguments that are JSON."""
+"""Arguments that are JSON, and those that name scenes."""
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from geoevs.errors import GeoEvsError
@@ -23,3 +24,18 @@ def parse_json(option: str, text: str, kind: type = dict) -> Any:
     if not isinstance(value, kind):
         raise GeoEvsError(f"{option} is {text}; write a JSON {EXAMPLES[kind]}")
     return value
+
+
+def scene_pairs(scenes: Sequence[str]) -> list[tuple[str, str]]:
+    """The (dataset, scene) pairs that `--scenes DATASET/SCENE` names.
+
+    Raises:
+        GeoEvsError: one is not of that form.
+    """
+    pairs = []
+    for scene in scenes:
+        dataset, slash, name = scene.partition("/")
+        if not slash:
+            raise GeoEvsError(f"--scenes {scene} is not of the form DATASET/SCENE; name both")
+        pairs.append((dataset, name))
+    return pairs

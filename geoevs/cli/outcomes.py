@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json
-from geoevs.errors import GeoEvsError
+from geoevs.cli.arguments import parse_json, scene_pairs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,10 +77,7 @@ def grid(
     from geoevs.io import write_bytes
     from geoevs.results.figures import table_grid
 
-    pairs = [scene.split("/", 1) for scene in scenes]
-    for scene, pair in zip(scenes, pairs, strict=True):
-        if len(pair) != 2:
-            raise GeoEvsError(f"--scenes {scene} is not of the form DATASET/SCENE; name both")
+    pairs = scene_pairs(scenes)
     shares = parse_json("--keeps", keeps, list)
     write_bytes(out, table_grid(name, run, pairs, labels, shares))
 

@@ -4,12 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
+from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 ALL_CAMERAS = "all-cameras"
 FRONT_SIDE = "front-side"
@@ -63,51 +62,6 @@ def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
     raise GeoEvsError(f"there is no set of sources '{sources}'; {hint}")
 
 
-def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, name: str) -> Camera:
-    """A camera between the front one and a side one, shifted sideways (paper section 4.3).
-
-    Args:
-        front: gives the intrinsics, pitch and roll, and the ego heading.
-        side: the front-side camera to turn towards.
-        angle: yaw in degrees from the front camera towards the side one.
-        lateral: metres to the left, horizontal and perpendicular to the heading.
-        name: the new camera's name.
-
-    Returns:
-        A camera whose centre lies on the line between the two at the same fraction as its yaw.
-
-    Raises:
-        GeoEvsError: the side camera is not turned that far, or not at all.
-    """
-    gap = _yaw_gap(front, side)
-    if gap == 0:
-        raise GeoEvsError(
-            f"cameras '{front.name}' and '{side.name}' look the same way; a rig's front-side "
-            "cameras must be turned aside"
-        )
-    if angle > abs(gap):
-        raise GeoEvsError(
-            f"target '{name}' turns {angle} degrees but camera '{side.name}' is only "
-            f"{abs(gap):.1f} degrees from '{front.name}'; lower protocol.pose_sweep.angles"
-        )
-    fraction = angle / abs(gap)
-    turn = np.radians(fraction * gap)
-    rotation = np.array(
-        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
-    )
-    heading = front.optical_axis[:2] / np.linalg.norm(front.optical_axis[:2])
-    left = np.array([-heading[1], heading[0], 0.0])
-    pose = np.eye(4)
-    pose[:3, :3] = rotation @ front.world_from_camera[:3, :3]
-    pose[:3, 3] = (1 - fraction) * front.centre + fraction * side.centre + lateral * left
-    return Camera(front.K, pose, front.height, front.width, name)
-
-
-def _yaw_gap(front: Camera, side: Camera) -> float:
-    """Degrees from the front camera's yaw to the side one's, in [-180, 180), left positive."""
-    return (side.yaw - front.yaw + 180.0) % 360.0 - 180.0
-
-
 def make_targets(scene: Scene, protocol: dict) -> list[Target]:
     """Every target of a scene under the config's `protocol` section, in a fixed order."""
     rig = scene.info.rig
@@ -139,7 +93,7 @@ def _extrapolation(
     front: Camera, sides: dict[str, Camera], frame: int, shifts: list[float]
 ) -> Iterator[Target]:
     for side, camera in sides.items():
-        half = abs(_yaw_gap(front, camera)) / 2
+        half = abs(yaw_gap(front, camera)) / 2
         for shift in shifts:
             name = f"extrapolation-{side}{shift:+g}m"
             virtual = virtual_camera(front, camera, half, shift, name)

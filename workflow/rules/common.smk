@@ -35,6 +35,11 @@ TEST_SCENES = [
     for dataset in config["evaluate"]
     for scene in config["datasets"][dataset]["partitions"]["test"]
 ]
+TRAINING_SCENES = [
+    (dataset, scene)
+    for dataset, settings in config["datasets"].items()
+    for scene in settings["partitions"].get("train", [])
+]
 
 
 wildcard_constraints:
@@ -49,12 +54,17 @@ def in_run(pattern):
     return f"{RUN}/{pattern}"
 
 
-def every_scene(pattern):
-    """The pattern's paths for all test scenes."""
+def every_scene(pattern, scenes=TEST_SCENES):
+    """The pattern's paths for all test scenes, or for others."""
     return [
         in_run(pattern).format(dataset=dataset, scene=scene)
-        for dataset, scene in TEST_SCENES
+        for dataset, scene in scenes
     ]
+
+
+def scene_list(scenes):
+    """Scenes as options of commands that take many."""
+    return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
 
 
 def every_result(pattern):

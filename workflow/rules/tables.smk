@@ -46,9 +46,7 @@ rule figure:
         in_run("logs/figure/{table}.log"),
     params:
         run=lambda wildcards, output: Path(output[0]).parents[1],
-        scenes=" ".join(
-            f"--scenes '{dataset}/{scene}'" for dataset, scene in TEST_SCENES
-        ),
+        scenes=scene_list(TEST_SCENES),
         labels=" ".join(
             f"--labels {label}"
             for label, entry in ENTRIES.items()

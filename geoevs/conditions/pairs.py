@@ -1,0 +1,110 @@
+"""Condition-target pairs of recorded views, the generator's training set (paper section 3.2)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from geoevs.conditions.bits import pack_masks, unpack_masks
+from geoevs.errors import GeoEvsError
+from geoevs.geometry.lift import lift_view
+from geoevs.geometry.point_maps import PointMaps
+from geoevs.io import read_arrays, to_uint8, whole_file, write_arrays
+from geoevs.projection import Raster, rasterize
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.store import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Pairs of one or more scenes, held as 8-bit images: a pair takes 7 bytes a pixel.
+
+    Args:
+        rgb: condition maps X, zero where invalid.
+        valid: which pixels of X hold a point; black points are valid too.
+        target: supervision Y, recorded by the same camera in the same frame.
+        scene, camera, frame: which view a pair is of.
+    """
+
+    rgb: np.ndarray  # [N, H, W, 3] uint8
+    valid: np.ndarray  # [N, H, W] bool
+    target: np.ndarray  # [N, H, W, 3] uint8
+    scene: np.ndarray  # [N] str
+    camera: np.ndarray  # [N] str
+    frame: np.ndarray  # [N] int64
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+def condition_map(
+    image: np.ndarray,  # [H, W, 3] float
+    depth: np.ndarray,  # [H, W] metres, 0 = none
+    camera: Camera,
+) -> Raster:
+    """X of a recorded view: its own cloud alone, projected back to where it came from (u = v)."""
+    xyz, rgb = lift_view(image, depth, camera, camera)
+    return rasterize(xyz, rgb, camera)
+
+
+def make_pairs(scene: Scene, point_maps: PointMaps, advance: Callable[[], None]) -> Pairs:
+    """The pairs of every frame and camera of a scene; both halves are read by that key.
+
+    Args:
+        scene: the store.
+        point_maps: depth of its views.
+        advance: called after each frame.
+    """
+    rows = []
+    for frame in scene.frames:
+        for name in scene.cameras:
+            image = scene.image(name, frame)
+            depth = point_maps.depth(name, frame)
+            x = condition_map(image, depth, scene.camera(name, frame))
+            rgb, target = to_uint8(x.image), to_uint8(image)
+            rows.append((rgb, x.mask, target, scene.info.name, name, frame))
+        advance()
+    return Pairs(*map(np.array, zip(*rows, strict=True)))
+
+
+def write_pairs(path: Path, pairs: Pairs) -> None:
+    """Write pairs as one .npz, `valid` as packed bits, whole or not at all."""
+    arrays = {field.name: getattr(pairs, field.name) for field in fields(Pairs)}
+    write_arrays(path, {**arrays, "valid": pack_masks(pairs.valid)})
+
+
+def read_pairs(paths: Sequence[Path]) -> Pairs:
+    """Read the pairs of many scenes, in the order given.
+
+    Raises:
+        GeoEvsError: there is no file, one is missing or damaged, or their resolutions differ.
+    """
+    if not paths:
+        raise GeoEvsError(
+            "there are no training pairs; name training scenes under partitions.train of a data set"
+        )
+    parts = [_read_part(path) for path in paths]
+    size = parts[0]["rgb"].shape[1:3]
+    for path, part in zip(paths, parts, strict=True):
+        found = part["rgb"].shape[1:3]
+        if found != size:
+            raise GeoEvsError(
+                f"the pairs of {path} are {found[0]} x {found[1]} but those of {paths[0]} are "
+                f"{size[0]} x {size[1]}; make them at one resolution"
+            )
+    # Each array of a part goes when it is joined, so that no more than one is held twice.
+    return Pairs(
+        **{
+            field.name: np.concatenate([part.pop(field.name) for part in parts])
+            for field in fields(Pairs)
+        }
+    )
+
+
+def _read_part(path: Path) -> dict[str, np.ndarray]:
+    arrays = read_arrays(path)
+    with whole_file(path):
+        part = {field.name: arrays[field.name] for field in fields(Pairs)}
+        part["valid"] = unpack_masks(part["valid"], *part["rgb"].shape[1:3])
+    return part

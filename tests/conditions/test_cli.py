@@ -1,0 +1,70 @@
+import json
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from geoevs.cli import main as cli
+from geoevs.conditions.masks import read_masks
+from geoevs.conditions.pairs import read_pairs
+from geoevs.geometry.lift import lidar_depths
+
+
+class Lidar:
+    depths = staticmethod(lidar_depths)
+
+
+@pytest.fixture
+def geoevs(monkeypatch, capsys):
+    """Runs the command in this process, with a depth model; gives exit code and standard error."""
+    asked = []
+    models = types.ModuleType("depth_models")
+    models.make_depth_model = lambda *arguments: asked.append(arguments) or Lidar()
+    monkeypatch.setitem(sys.modules, "geoevs.geometry.depth_models", models)
+
+    def run(*arguments: object):
+        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
+        monkeypatch.setattr(cli, "_log", None)
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        return code, capsys.readouterr().err
+
+    run.asked = asked
+    return run
+
+
+def test_from_a_scene_to_its_pairs_and_library(geoevs, stage, tmp_path):
+    scene = ("--scene", stage.scene.folder)
+    maps, pairs, masks, library = (tmp_path / f"{n}.npz" for n in ("maps", "pairs", "m", "library"))
+    assert geoevs("point-maps", *scene, "--model", "lidar", "--out", maps) == (0, "")
+    assert geoevs.asked == [("lidar", None)]
+    source = (*scene, "--point-maps", maps)
+    assert geoevs("pairs", *source, "--out", pairs) == (0, "")
+    poses = json.dumps({"yaw": [0.5], "lateral": [-1, 1]})
+    assert geoevs("masks", *source, "--poses", poses, "--out", masks) == (0, "")
+    assert geoevs("mask-library", masks, masks, "--out", library) == (0, "")
+    assert len(read_pairs([pairs])) == 6
+    # Two frames, two sides, two shifts; the part was given twice.
+    assert len(read_masks(library)) == 2 * 8
+    assert np.unique(read_masks(library).scene).tolist() == ["tiny"]
+
+
+def test_a_library_of_nothing_is_one_sentence(geoevs, tmp_path):
+    code, errors = geoevs("mask-library", "--out", tmp_path / "library.npz")
+    assert code == 1
+    sentence = "holds no masks; name training scenes under partitions.train of a data set"
+    assert errors == f"error: the mask library {sentence}\n"
+    assert not (tmp_path / "library.npz").exists()
+
+
+def test_help_needs_no_torch():
+    code = "import sys, geoevs.cli.conditions, geoevs.conditions.injection; print(*sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = shown.stdout.split()
+    assert "geoevs.conditions.injection" in modules
+    assert "torch" not in modules
