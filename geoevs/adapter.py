@@ -205,7 +205,7 @@ class Adapter(Protocol):
 
 def find_methods() -> dict[str, str]:
     """Every method's name and module."""
-    return find_plugins("adapter", "baselines", "baselines.controls")
+    return find_plugins("adapter", "geoevs.generator", "baselines", "baselines.controls")
 
 
 def method_class(name: str) -> type[Adapter]:

@@ -51,6 +51,20 @@ def write_bytes(path: Path, data: bytes) -> None:
             raise
 
 
+def link_file(source: Path, path: Path) -> None:
+    """Give `source` a second name, or copy it where the file system cannot.
+
+    Raises:
+        GeoEvsError: the disk is full or the folder is read-only.
+    """
+    with _explain_write_failure(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(source, path)
+        except OSError:  # another device, or one without links
+            shutil.copyfile(source, path)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text whole or not at all (see `write_bytes`)."""
     write_bytes(path, text.encode())

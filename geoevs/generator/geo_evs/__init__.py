@@ -1,0 +1,1 @@
+"""Geo-EVS as the paper describes it."""

@@ -1,0 +1,125 @@
+"""Geo-EVS: lift the frame by its geometry, project it into the target, generate the image."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.errors import GeoEvsError
+from geoevs.geometry.depth_models import make_depth_model
+from geoevs.geometry.lifted import LiftedViews
+from geoevs.io import link_file, read_json, write_json
+from geoevs.projection import Raster
+from geoevs.scenes.camera import Camera
+
+if TYPE_CHECKING:
+    from geoevs.generator.generator import Generator, Sampling
+
+# torch is imported where networks are made: configs are checked without one.
+
+
+@dataclass
+class Method:
+    """The paper's method, faithfully: every pixel is generated.
+
+    Args:
+        weights: what `geoevs train` wrote.
+        steps, guidance, sampler, average: see `Sampling`; None takes what it was trained for.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "Geo-EVS",
+        paradigm="diffusion",
+        extra_prior="pretrained latent diffusion",
+        needs=("lidar", "training"),
+        citation="Lan, Tang, He: Geo-EVS",
+    )
+    weights: str
+    steps: int | None = None
+    guidance: float | None = None
+    sampler: str | None = None
+    average: int | None = None
+    _lifted: LiftedViews = field(init=False)
+    _generator: "Generator" = field(init=False)
+    _seed: int = field(init=False)
+
+    def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
+        """Estimate the depth of every source view; the networks were trained before."""
+        from geoevs.generator.generator import Generator
+
+        settings = read_json(Path(self.weights) / "settings.json")
+        geometry = Path(self.weights) / "geometry.safetensors"
+        model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
+        self._lifted = LiftedViews.make(views, model)
+        self._generator = Generator.load(Path(self.weights))
+        self._seed = int(rng.numpy.integers(2**31))
+        networks = self._generator.autoencoder, self._generator.denoiser
+        parameters = sum(p.numel() for network in networks for p in network.parameters())
+        return FitReport(self._lifted.pixels, parameters, "primitives are source pixels with depth")
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Generate the view; `support` and `depth` are those of its condition map."""
+        return self._render(self._lifted.condition(camera, frame), camera, frame)
+
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """The same from a condition map that is hidden outside `keep`."""
+        return self._render(self._lifted.condition(camera, frame, keep), camera, frame)
+
+    def _render(self, condition: Raster, camera: Camera, frame: int) -> Rendering:
+        if not condition.mask.any():
+            raise GeoEvsError(
+                f"the condition map of '{camera.name}' in frame {frame} has no valid pixel; choose "
+                "a target that some source camera overlaps"
+            )
+        image = condition.image.astype(np.float32)
+        # The view's own noise, whatever was rendered before; the same for every variant.
+        random = Rng(self._seed, camera.name, str(frame)).torch
+        generated = self._generator.generate(
+            image[None], condition.mask[None], self._sampling(), random
+        )[0]
+        rgb = self._finish(generated, image, condition.mask)
+        return Rendering(rgb, condition.depth, condition.mask)
+
+    def _finish(
+        self, generated: np.ndarray, condition: np.ndarray, valid: np.ndarray
+    ) -> np.ndarray:
+        """What is shown of the generated image."""
+        return generated
+
+    def _sampling(self) -> "Sampling":
+        from geoevs.generator.generator import Sampling
+
+        trained = read_json(Path(self.weights) / "settings.json")["sampling"]
+        asked = {name: getattr(self, name) for name in trained}
+        return Sampling(**{k: trained[k] if v is None else v for k, v in asked.items()})
+
+    def save(self, folder: Path) -> None:
+        """Write the views and depths; link the weights, which many scenes share."""
+        self._lifted.save(folder)
+        for path in Path(self.weights).iterdir():
+            if path.is_file():
+                link_file(path, folder / "weights" / path.name)
+        options = {
+            name: getattr(self, name) for name in ("steps", "guidance", "sampler", "average")
+        }
+        write_json(folder / "options.json", {**options, "seed": self._seed})
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote."""
+        from geoevs.generator.generator import Generator
+
+        options = read_json(folder / "options.json")
+        seed = options.pop("seed")
+        method = cls(str(folder / "weights"), **options)
+        method._lifted = LiftedViews.load(folder)
+        method._generator = Generator.load(folder / "weights")
+        method._seed = seed
+        return method

@@ -1,0 +1,1 @@
+"""Geo-EVS that generates only what geometry does not explain."""

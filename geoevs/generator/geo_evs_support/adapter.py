@@ -1,0 +1,23 @@
+"""Geo-EVS that keeps what geometry explains and generates only the rest."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from geoevs.adapter import MethodInfo
+from geoevs.generator.geo_evs.adapter import Method as GeoEvs
+from geoevs.generator.support import keep_support
+
+
+@dataclass
+class Method(GeoEvs):
+    """No more than a scene needs: a pixel that geometry explains is not generated."""
+
+    info: ClassVar[MethodInfo] = replace(GeoEvs.info, name="Geo-EVS, support kept")
+
+    def _finish(
+        self, generated: np.ndarray, condition: np.ndarray, valid: np.ndarray
+    ) -> np.ndarray:
+        """Supported pixels stay, the others are generated, without seams."""
+        return keep_support(generated, condition, valid)
