@@ -208,6 +208,14 @@ def _check_finite(values: dict[str, Tensor], what: str, step: int, folder: Path)
 
 
 @contextmanager
+def seeded(seed: int, *key: str) -> Iterator[None]:
+    """Let torch's global generator, which fills new networks, be a function of seed and key."""
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(int(Rng(seed, *key, "weights").numpy.integers(2**62)))
+        yield
+
+
+@contextmanager
 def mixed_precision(device: torch.device) -> Iterator[None]:
     """Autocast to bfloat16 where the device computes it faster than float32."""
     fast = device.type == "cuda" or torch.cpu._is_avx512_bf16_supported()

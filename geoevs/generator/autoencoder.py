@@ -1,24 +1,20 @@
 """The autoencoder between images and latents: diffusers' AutoencoderKL, behind a space-to-depth.
 
-A small autoencoder keeps more of an image if its first layer loses nothing: pixels of a block become
-channels, and all convolutions run at latent resolution.
+A small autoencoder keeps more of an image if its first layer loses nothing: the pixels of a block
+become channels, and all convolutions run at latent resolution.
 """
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from diffusers import AutoencoderKL
 from torch import Tensor, nn
-
-from geoevs.adapter import Rng
-from geoevs.training import mixed_precision
+from torch.nn import functional
 
 NANO_BLOCK = 4
-KL_WEIGHT = 1e-5
 
 
 def nano_autoencoder() -> AutoencoderKL:
-    """The untrained network of this suite's own autoencoder; pixels come in blocks of NANO_BLOCK."""
+    """The untrained network of this suite's own autoencoder, over blocks of NANO_BLOCK pixels."""
     values = 3 * NANO_BLOCK**2
     return AutoencoderKL(
         in_channels=values,
@@ -63,7 +59,7 @@ class Autoencoder(nn.Module):
 
     def posterior(self, images: Tensor) -> torch.distributions.Distribution:
         """Diagonal Gaussian over raw latents of [B, 3, H, W] images in [0, 1]."""
-        blocks = F.pixel_unshuffle(images * 2 - 1, self.block)
+        blocks = functional.pixel_unshuffle(images * 2 - 1, self.block)
         return self.network.encode(blocks).latent_dist
 
     def encode(
@@ -83,7 +79,7 @@ class Autoencoder(nn.Module):
     def decode_raw(self, latents: Tensor) -> Tensor:
         """Decode latents as the network has them, before normalisation."""
         blocks = self.network.decode(latents).sample
-        return (F.pixel_shuffle(blocks, self.block) + 1) / 2
+        return (functional.pixel_shuffle(blocks, self.block) + 1) / 2
 
     @torch.no_grad()
     def fit_statistics(
@@ -94,63 +90,6 @@ class Autoencoder(nn.Module):
         raw = self.posterior(images).mean
         self.shift.copy_(raw.mean(dim=(0, 2, 3), keepdim=True))
         self.scale.copy_(raw.std(dim=(0, 2, 3), keepdim=True))
-
-
-class AutoencoderTask:
-    """Reconstruct random crops: L1, and a little Kullback-Leibler divergence.
-
-    Args:
-        model: what is trained.
-        images: (N, H, W, 3) uint8.
-        batch: crops a step.
-        crop: their height and width.
-    """
-
-    def __init__(
-        self, model: Autoencoder, images: np.ndarray, batch: int, crop: tuple[int, int]
-    ) -> None:
-        self.model, self._images, self._batch, self._crop = model, images, batch, crop
-
-    def losses(self, rng: Rng) -> dict[str, Tensor]:
-        """Losses of one batch of crops, half of them mirrored."""
-        device = next(self.model.parameters()).device
-        crops = random_crops(self._images, self._batch, self._crop, rng.numpy).to(device)
-        with mixed_precision(device):
-            posterior = self.model.posterior(crops)
-            noise = torch.randn(posterior.mean.shape, generator=rng.torch).to(device)
-            decoded = self.model.decode_raw(posterior.mean + posterior.std * noise)
-        error = (decoded.float() - crops).abs().mean()
-        mean, logvar = posterior.mean.float(), posterior.logvar.float()
-        divergence = 0.5 * (mean.square() + logvar.exp() - 1 - logvar).mean()
-        return {"loss": error + KL_WEIGHT * divergence, "l1": error, "divergence": divergence}
-
-    @torch.inference_mode()
-    def preview(self, model: nn.Module) -> np.ndarray:
-        """Images above their reconstructions."""
-        picked = self._images[:: max(1, len(self._images) // 6)][:6]
-        images = to_tensor(picked).to(next(model.parameters()).device)
-        decoded = model.decode_raw(model.posterior(images).mean)
-        rows = [torch.cat(list(part), dim=2) for part in (images, decoded)]
-        return to_arrays(torch.cat(rows, dim=1)[None])[0]
-
-
-def random_crops(
-    images: np.ndarray,  # [N, H, W, 3] uint8
-    count: int,
-    crop: tuple[int, int],
-    rng: np.random.Generator,
-) -> Tensor:
-    """[count, 3, h, w] random crops in [0, 1], half of them mirrored."""
-    height, width = crop
-    picked = rng.integers(len(images), size=count)
-    tops = rng.integers(images.shape[1] - height + 1, size=count)
-    lefts = rng.integers(images.shape[2] - width + 1, size=count)
-    mirrored = rng.random(count) < 0.5
-    crops = [
-        images[i, top : top + height, left : left + width][:, :: -1 if flip else 1]
-        for i, top, left, flip in zip(picked, tops, lefts, mirrored, strict=True)
-    ]
-    return to_tensor(np.stack(crops))
 
 
 def to_tensor(

@@ -1,8 +1,8 @@
 """E_geo: from a condition map to condition features at latent resolution (paper section 3.3)."""
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn import functional
 
 from geoevs.generator.autoencoder import Autoencoder
 
@@ -38,7 +38,7 @@ class ConditionEncoder(nn.Module):
         shown = (condition * 2 - 1) * valid
         if self.validity:
             shown = torch.cat([shown, valid.to(shown.dtype)], dim=1)
-        return self.layers(F.pixel_unshuffle(shown, self.factor))
+        return self.layers(functional.pixel_unshuffle(shown, self.factor))
 
 
 class FrozenEncoder(nn.Module):
@@ -57,5 +57,5 @@ class FrozenEncoder(nn.Module):
     ) -> Tensor:
         """[B, latent channels + 1, h, w] latents, and the share of valid pixels."""
         (autoencoder,) = self._autoencoder
-        share = F.avg_pool2d(valid.to(condition.dtype), autoencoder.factor)
+        share = functional.avg_pool2d(valid.to(condition.dtype), autoencoder.factor)
         return torch.cat([autoencoder.encode(condition), share], dim=1)

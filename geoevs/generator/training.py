@@ -1,4 +1,9 @@
-"""Training the denoiser: the unconditional prior, and Geo-EVS on artifact-injected conditions."""
+"""Training Geo-EVS: denoise targets from artifact-injected condition maps (sections 3.3, 3.4)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -6,19 +11,90 @@ from torch import Tensor, nn
 
 from geoevs.adapter import Rng
 from geoevs.conditions.injection import ArtifactInjection
+from geoevs.conditions.masks import MaskLibrary
 from geoevs.conditions.pairs import Pairs
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.generator.autoencoder import Autoencoder, random_crops, to_arrays, to_tensor
+from geoevs.generator.autoencoder import to_tensor
 from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
 from geoevs.generator.denoiser import Denoiser, widen
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
 from geoevs.generator.generator import Generator, Sampling
-from geoevs.generator.prior import Prior
-from geoevs.training import mixed_precision
+from geoevs.generator.prior import Prior, load_prior
+from geoevs.training import Optimisation, mixed_precision, seeded, train
 
 CONDITION_ENCODERS = ("trained", "frozen")
 WEIGHTINGS = ("uniform", "support")
 ENCODED_AT_ONCE = 32
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """One training of Geo-EVS, as the config's `training` section names it.
+
+    Args:
+        prior: the weights to start from (see `load_prior`).
+        prediction, schedule: of the diffusion process; None keeps the prior's.
+        steps, batch, learning_rate: of the optimiser; AdamW's peak rate (the paper's is 1e-4).
+        drop: share of conditions replaced by the null condition.
+        encoder: E_geo, `trained` or `frozen`.
+        validity: whether the trained encoder sees the validity mask beside X.
+        weighting: per-sample weights w_i, `uniform` or `support`.
+        masks: kind of artifact injection, and `probability` its p (see `ArtifactInjection`).
+        sampling: fields of Sampling, what renders use unless they ask for another.
+    """
+
+    prior: str
+    prediction: str | None
+    schedule: str | None
+    steps: int
+    batch: int
+    learning_rate: float
+    drop: float
+    encoder: str
+    validity: bool
+    weighting: str
+    masks: str
+    probability: float
+    sampling: dict[str, Any]
+
+
+def train_geo_evs(
+    settings: TrainingSettings,
+    pairs: Pairs,
+    library: MaskLibrary,
+    weights: Path,
+    seed: int,
+    work: Path,
+    report: Callable[[float], None],
+) -> Generator:
+    """Train a generator.
+
+    Args:
+        settings: how.
+        pairs: on what.
+        library: artifact masks of training scenes.
+        weights: the folder of this suite's pretrained weights.
+        seed: decides the condition encoder's first weights and every batch.
+        work: the training's own folder (see `train`).
+        report: called after every step with its loss.
+
+    Raises:
+        GeoEvsError: the prior is not on the machine, the images do not divide into latents, a
+            setting does not exist, or the training diverged.
+    """
+    injection = ArtifactInjection(
+        settings.masks, settings.probability, *pairs.target.shape[1:3], library
+    )
+    prior = load_prior(settings.prior, weights)
+    changed = {name: getattr(settings, name) for name in ("prediction", "schedule")}
+    changed = {name: value for name, value in changed.items() if value is not None}
+    prior = replace(prior, diffusion=replace(prior.diffusion, **changed))
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    prior.autoencoder.to(device)
+    task = GeoEvsTask(prior, pairs, injection, settings, seed)
+    optimisation = Optimisation(settings.steps, settings.learning_rate)
+    model = train(task, optimisation, seed, "geo-evs", work, report)
+    return Generator(prior.autoencoder, model, prior.diffusion)
 
 
 def denoising_losses(
@@ -37,54 +113,6 @@ def denoising_losses(
     return (predicted.float() - wanted).square().mean(dim=(1, 2, 3))
 
 
-class PriorTask:
-    """Denoise latents of images, unconditionally.
-
-    Args:
-        model: a denoiser without a condition encoder.
-        autoencoder: frozen.
-        diffusion: the process.
-        images: (N, H, W, 3) uint8.
-        batch: images a step, half of them mirrored.
-    """
-
-    def __init__(
-        self,
-        model: Denoiser,
-        autoencoder: Autoencoder,
-        diffusion: Diffusion,
-        images: np.ndarray,
-        batch: int,
-    ) -> None:
-        self.model, self._images, self._batch = model, images, batch
-        self._autoencoder, self._diffusion = autoencoder, diffusion
-
-    def losses(self, rng: Rng) -> dict[str, Tensor]:
-        """The denoising loss of one batch."""
-        device = next(self.model.parameters()).device
-        images = random_crops(self._images, self._batch, self._images.shape[1:3], rng.numpy)
-        with torch.no_grad(), mixed_precision(device):
-            clean = self._autoencoder.encode(images.to(device)).float()
-        losses = denoising_losses(self.model, self._diffusion, clean, None, rng)
-        return {"loss": losses.mean()}
-
-    @torch.inference_mode()
-    def preview(self, model: nn.Module) -> np.ndarray:
-        """Eight streets that nobody has seen."""
-        device = next(model.parameters()).device
-        factor = self._autoencoder.factor
-        height, width = self._images.shape[1] // factor, self._images.shape[2] // factor
-        shape = 8, self._autoencoder.latent_channels, height, width
-        noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
-        with mixed_precision(device):
-            latents = self._diffusion.sample(
-                lambda noisy, t: model(noisy, t.expand(len(noisy))).float(), noise, steps=30
-            )
-            images = to_arrays(self._autoencoder.decode(latents))
-        rows = [np.concatenate(list(images[k : k + 4]), axis=1) for k in (0, 4)]
-        return np.concatenate(rows)
-
-
 class GeoEvsTask:
     """Denoise latents of targets Y from condition maps X, some of them artifact-injected.
 
@@ -92,13 +120,8 @@ class GeoEvsTask:
         prior: the weights to start from; its UNet is widened and trained, the rest is frozen.
         pairs: the training set.
         injection: which pixels of a condition are hidden (paper section 3.4).
-        batch: pairs a step.
-        drop: share of conditions replaced by the null condition.
-        encoder: E_geo, `trained` or `frozen`.
-        validity: whether the trained encoder sees the validity mask beside X.
-        weighting: per-sample weights w_i, `uniform` or `support` (the condition's support ratio
-            over the batch's mean).
-        rng: initial weights of the condition encoder.
+        settings: batch, drop, encoder, validity and weighting count here.
+        seed: of the condition encoder's first weights.
 
     Raises:
         GeoEvsError: there is no such encoder or weighting, or the images do not divide into
@@ -110,44 +133,40 @@ class GeoEvsTask:
         prior: Prior,
         pairs: Pairs,
         injection: ArtifactInjection,
-        rng: Rng,
-        *,
-        batch: int,
-        drop: float,
-        encoder: str,
-        validity: bool,
-        weighting: str,
+        settings: TrainingSettings,
+        seed: int,
     ) -> None:
         for what, value, allowed in (
-            ("condition encoder", encoder, CONDITION_ENCODERS),
-            ("weighting", weighting, WEIGHTINGS),
+            ("condition encoder", settings.encoder, CONDITION_ENCODERS),
+            ("weighting", settings.weighting, WEIGHTINGS),
         ):
             if value not in allowed:
                 raise GeoEvsError(f"there is no {what} '{value}'; {did_you_mean(value, allowed)}")
+        _check_size(pairs.target.shape[1:3], prior)
         self._autoencoder, self._diffusion = (
             prior.autoencoder.requires_grad_(False),
             prior.diffusion,
         )
-        self._pairs, self._injection = pairs, injection
-        self._batch, self._drop, self._weighting = batch, drop, weighting
-        _check_size(pairs.target.shape[1:3], prior)
-        self.model = _conditional(prior, encoder, validity, rng)
+        self._pairs, self._injection, self._settings = pairs, injection, settings
+        self.model = _conditional(prior, settings, seed)
         self._latents = self._encode(pairs.target)
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """L_train of one batch (paper section 3.3)."""
         device = self._latents.device
         random = rng.numpy
-        picked = random.integers(len(self._pairs), size=self._batch)
-        valid = self._pairs.valid[picked] & self._injection.inject(random, self._batch)
-        dropped = torch.from_numpy(random.random(self._batch) < self._drop).to(device)
+        picked = random.integers(len(self._pairs), size=self._settings.batch)
+        valid = self._pairs.valid[picked] & self._injection.inject(random, self._settings.batch)
+        dropped = torch.from_numpy(random.random(self._settings.batch) < self._settings.drop).to(
+            device
+        )
         condition = to_tensor(self._pairs.rgb[picked] * valid[..., None]).to(device)
         mask = torch.from_numpy(valid)[:, None].to(device)
         with mixed_precision(device):
             features = self.model.features(condition, mask, dropped)
         losses = denoising_losses(self.model, self._diffusion, self._latents[picked], features, rng)
         support = mask.float().mean(dim=(1, 2, 3))
-        weights = support / support.mean() if self._weighting == "support" else 1.0
+        weights = support / support.mean() if self._settings.weighting == "support" else 1.0
         return {"loss": (weights * losses).mean(), "support": support.mean()}
 
     @torch.inference_mode()
@@ -179,18 +198,16 @@ class GeoEvsTask:
         return torch.cat(parts)
 
 
-def _conditional(prior: Prior, encoder: str, validity: bool, rng: Rng) -> Denoiser:
-    """The prior's UNet behind a new condition encoder, whose weights come from `rng` alone."""
-    if encoder == "frozen":
-        made: nn.Module = FrozenEncoder(prior.autoencoder)
-        widen(prior.unet, made.channels)
-    else:
-        with torch.random.fork_rng(devices=()):
-            torch.manual_seed(int(rng.numpy.integers(2**62)))
-            made = ConditionEncoder(prior.autoencoder.factor, validity=validity)
-        widen(prior.unet, made.channels)
-    device = next(prior.autoencoder.parameters()).device
-    return Denoiser(prior.unet, made).to(device)
+def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoiser:
+    """The prior's UNet behind a new condition encoder."""
+    with seeded(seed, "geo-evs", "encoder"):
+        encoder = (
+            FrozenEncoder(prior.autoencoder)
+            if settings.encoder == "frozen"
+            else ConditionEncoder(prior.autoencoder.factor, validity=settings.validity)
+        )
+        widen(prior.unet, encoder.channels)
+    return Denoiser(prior.unet, encoder).to(next(prior.autoencoder.parameters()).device)
 
 
 def _check_size(size: tuple[int, int], prior: Prior) -> None:

@@ -1,0 +1,113 @@
+"""Training the generator as commands: its pretraining, and Geo-EVS itself."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geoevs.cli.arguments import parse_json
+from geoevs.cli.progress import training_bar
+
+Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
+Work = Annotated[
+    Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Decides initial weights and every batch.")]
+Scenes = Annotated[list[Path], typer.Option(help="A scene store; repeat for more.")]
+Steps = Annotated[int, typer.Option(min=1, help="Optimiser steps.")]
+Batch = Annotated[int, typer.Option(min=1, help="Images a step.")]
+Rate = Annotated[float, typer.Option(help="Peak learning rate of AdamW.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (train, train_autoencoder, train_prior):
+        app.command()(command)
+
+
+def train(
+    pairs: Annotated[list[Path], typer.Option(help="What `geoevs pairs` wrote; repeat for more.")],
+    library: Annotated[Path, typer.Option(help="What `geoevs mask-library` wrote.")],
+    settings: Annotated[str, typer.Option(help="The config's training section of one variant.")],
+    weights: Annotated[Path, typer.Option(help="The folder of this suite's pretrained weights.")],
+    geometry: Annotated[str, typer.Option(help="The depth model that made the pairs.")],
+    work: Work,
+    out: Out,
+    geometry_weights: Annotated[Path | None, typer.Option(help="Its weights, if any.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Train Geo-EVS on condition-target pairs, with artifact masks."""
+    from geoevs.conditions.masks import read_masks
+    from geoevs.conditions.pairs import read_pairs
+    from geoevs.generator.training import TrainingSettings, train_geo_evs
+    from geoevs.io import link_file, new_folder, write_json
+
+    wanted = TrainingSettings(**parse_json("--settings", settings))
+    data = read_pairs(pairs)
+    with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
+        generator = train_geo_evs(wanted, data, read_masks(library), weights, seed, work, report)
+    with new_folder(out) as partial:
+        generator.save(partial)
+        if geometry_weights is not None:
+            link_file(geometry_weights, partial / "geometry.safetensors")
+        write_json(partial / "settings.json", {"geometry": geometry, "sampling": wanted.sampling})
+
+
+def train_autoencoder(
+    scenes: Scenes,
+    out: Out,
+    work: Work,
+    steps: Steps,
+    batch: Batch,
+    learning_rate: Rate,
+    crop: Annotated[int, typer.Option(min=16, help="Side of the crops, pixels.")] = 64,
+    seed: Seed = 0,
+) -> None:
+    """Pretrain this suite's autoencoder on the images of scenes; weights are stored as float16."""
+    import torch
+
+    from geoevs.generator.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
+    from geoevs.generator.pretraining import AutoencoderTask, read_images
+    from geoevs.generator.prior import save_autoencoder
+    from geoevs.training import Optimisation, seeded, train
+
+    images = read_images(scenes)
+    with seeded(seed, "autoencoder"):
+        autoencoder = Autoencoder(nano_autoencoder(), NANO_BLOCK)
+    autoencoder.to("cuda" if torch.cuda.is_available() else "cpu")
+    task = AutoencoderTask(autoencoder, images, batch, (crop, crop))
+    with training_bar(f"autoencoder on {len(images)} images", steps) as report:
+        optimisation = Optimisation(steps, learning_rate, weight_decay=0.0)
+        trained = train(task, optimisation, seed, "autoencoder", work, report)
+    every = max(1, len(images) // 128)
+    trained.fit_statistics(to_tensor(images[::every]).to(trained.shift.device))
+    save_autoencoder(out, trained, torch.float16)
+
+
+def train_prior(
+    scenes: Scenes,
+    autoencoder: Annotated[Path, typer.Option(help="What `geoevs train-autoencoder` wrote.")],
+    out: Out,
+    work: Work,
+    steps: Steps,
+    batch: Batch,
+    learning_rate: Rate,
+    seed: Seed = 0,
+) -> None:
+    """Pretrain the unconditional denoiser on the images of scenes; stored as float16."""
+    import torch
+
+    from geoevs.generator.denoiser import Denoiser, nano_unet
+    from geoevs.generator.diffusion import Diffusion
+    from geoevs.generator.pretraining import PriorTask, read_images
+    from geoevs.generator.prior import load_autoencoder, save_denoiser
+    from geoevs.training import Optimisation, seeded, train
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
+    with seeded(seed, "prior"):
+        denoiser = Denoiser(nano_unet(frozen.latent_channels), None).to(device)
+    task = PriorTask(denoiser, frozen, Diffusion(), images, batch)
+    with training_bar(f"prior on {len(images)} images", steps) as report:
+        trained = train(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
+    save_denoiser(out, trained, Diffusion(), torch.float16)

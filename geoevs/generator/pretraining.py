@@ -1,0 +1,140 @@
+"""Pretraining on images alone: the autoencoder, and the unconditional prior over its latents.
+
+They stand in for Stable Diffusion's where its weights are not on the machine.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from geoevs.adapter import Rng
+from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
+from geoevs.generator.denoiser import Denoiser
+from geoevs.generator.diffusion import Diffusion
+from geoevs.generator.training import denoising_losses
+from geoevs.io import to_uint8
+from geoevs.scenes.store import Scene
+from geoevs.training import mixed_precision
+
+KL_WEIGHT = 1e-5
+
+
+def read_images(scenes: Sequence[Path]) -> np.ndarray:
+    """(N, H, W, 3) uint8: every image of scenes of one resolution."""
+    opened = [Scene(folder) for folder in scenes]
+    return np.stack(
+        [
+            to_uint8(scene.image(camera, frame))
+            for scene in opened
+            for frame in scene.frames
+            for camera in scene.cameras
+        ]
+    )
+
+
+class AutoencoderTask:
+    """Reconstruct random crops: L1, and a little Kullback-Leibler divergence.
+
+    Args:
+        model: what is trained.
+        images: (N, H, W, 3) uint8.
+        batch: crops a step.
+        crop: their height and width.
+    """
+
+    def __init__(
+        self, model: Autoencoder, images: np.ndarray, batch: int, crop: tuple[int, int]
+    ) -> None:
+        self.model, self._images, self._batch, self._crop = model, images, batch, crop
+
+    def losses(self, rng: Rng) -> dict[str, Tensor]:
+        """Losses of one batch of crops, half of them mirrored."""
+        device = next(self.model.parameters()).device
+        crops = random_crops(self._images, self._batch, self._crop, rng.numpy).to(device)
+        with mixed_precision(device):
+            posterior = self.model.posterior(crops)
+            noise = torch.randn(posterior.mean.shape, generator=rng.torch).to(device)
+            decoded = self.model.decode_raw(posterior.mean + posterior.std * noise)
+        error = (decoded.float() - crops).abs().mean()
+        mean, logvar = posterior.mean.float(), posterior.logvar.float()
+        divergence = 0.5 * (mean.square() + logvar.exp() - 1 - logvar).mean()
+        return {"loss": error + KL_WEIGHT * divergence, "l1": error, "divergence": divergence}
+
+    @torch.inference_mode()
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """Images above their reconstructions."""
+        picked = self._images[:: max(1, len(self._images) // 6)][:6]
+        images = to_tensor(picked).to(next(model.parameters()).device)
+        decoded = model.decode_raw(model.posterior(images).mean)
+        rows = [torch.cat(list(part), dim=2) for part in (images, decoded)]
+        return to_arrays(torch.cat(rows, dim=1)[None])[0]
+
+
+class PriorTask:
+    """Denoise latents of images, unconditionally.
+
+    Args:
+        model: a denoiser without a condition encoder.
+        autoencoder: frozen.
+        diffusion: the process.
+        images: (N, H, W, 3) uint8.
+        batch: images a step, half of them mirrored.
+    """
+
+    def __init__(
+        self,
+        model: Denoiser,
+        autoencoder: Autoencoder,
+        diffusion: Diffusion,
+        images: np.ndarray,
+        batch: int,
+    ) -> None:
+        self.model, self._images, self._batch = model, images, batch
+        self._autoencoder, self._diffusion = autoencoder, diffusion
+
+    def losses(self, rng: Rng) -> dict[str, Tensor]:
+        """The denoising loss of one batch."""
+        device = next(self.model.parameters()).device
+        images = random_crops(self._images, self._batch, self._images.shape[1:3], rng.numpy)
+        with torch.no_grad(), mixed_precision(device):
+            clean = self._autoencoder.encode(images.to(device)).float()
+        losses = denoising_losses(self.model, self._diffusion, clean, None, rng)
+        return {"loss": losses.mean()}
+
+    @torch.inference_mode()
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """Eight streets that nobody has seen."""
+        device = next(model.parameters()).device
+        factor = self._autoencoder.factor
+        height, width = self._images.shape[1] // factor, self._images.shape[2] // factor
+        shape = 8, self._autoencoder.latent_channels, height, width
+        noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
+        with mixed_precision(device):
+            latents = self._diffusion.sample(
+                lambda noisy, t: model(noisy, t.expand(len(noisy))).float(), noise, steps=30
+            )
+            images = to_arrays(self._autoencoder.decode(latents))
+        rows = [np.concatenate(list(images[k : k + 4]), axis=1) for k in (0, 4)]
+        return np.concatenate(rows)
+
+
+def random_crops(
+    images: np.ndarray,  # [N, H, W, 3] uint8
+    count: int,
+    crop: tuple[int, int],
+    rng: np.random.Generator,
+) -> Tensor:
+    """[count, 3, h, w] random crops in [0, 1], half of them mirrored."""
+    height, width = crop
+    picked = rng.integers(len(images), size=count)
+    tops = rng.integers(images.shape[1] - height + 1, size=count)
+    lefts = rng.integers(images.shape[2] - width + 1, size=count)
+    mirrored = rng.random(count) < 0.5
+    crops = [
+        images[i, top : top + height, left : left + width][:, :: -1 if flip else 1]
+        for i, top, left, flip in zip(picked, tops, lefts, mirrored, strict=True)
+    ]
+    return to_tensor(np.stack(crops))
