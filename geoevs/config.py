@@ -71,7 +71,9 @@ def check_syntax(path: str | Path) -> None:
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
     """The run's entrants, one for every method, variant and seed."""
     return [
-        MethodEntry.parse(name, settings.get("options", {}), config["seed"] + seed)
+        MethodEntry.parse(
+            name, settings.get("options", {}), config["seed"] + seed, settings.get("training", "")
+        )
         for name, settings in config["methods"].items()
         if settings is not None
         for seed in settings.get("seeds", [0])
@@ -206,11 +208,49 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 )
             if entry.method in ORACLES and entry.options:
                 raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
-            if entry.options:
-                check_options(f"method '{name}'", _imported(entry.method), entry.options)
+            _check_training(config, entry, name)
+            given = entry.options | ({"weights": ""} if entry.training else {})
+            if given:
+                check_options(f"method '{name}'", _imported(entry.method), given)
             if entry.label in labels:
                 raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
             labels.add(entry.label)
+
+
+def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any]:
+    """What one of the config's trainings is made with: the section, and the variant over it."""
+    shared = {key: value for key, value in config["training"].items() if key != "variants"}
+    variant = config["training"]["variants"][training]
+    return {**shared, **variant, "sampling": shared["sampling"] | variant.get("sampling", {})}
+
+
+def _check_training(config: Mapping[str, Any], entry: MethodEntry, name: str) -> None:
+    """Methods that are trained name a training, others none; it needs scenes."""
+    variants = config["training"]["variants"]
+    trained = entry.method not in ORACLES and "training" in _needs(entry.method)
+    if trained and not entry.training:
+        raise GeoEvsError(
+            f"method '{name}' is trained before it is fitted; name one under 'training' "
+            f"({', '.join(variants)})"
+        )
+    if entry.training and not trained:
+        raise GeoEvsError(f"method '{name}' is not trained; remove 'training'")
+    if trained and entry.training not in variants:
+        raise GeoEvsError(
+            f"there is no training '{entry.training}' under 'training.variants'; "
+            f"{did_you_mean(entry.training, variants)}"
+        )
+    if trained and not any(
+        dataset["partitions"].get("train") for dataset in config["datasets"].values()
+    ):
+        raise GeoEvsError(
+            f"method '{name}' is trained, but no data set has scenes under partitions.train; name "
+            "some, or set the method to null"
+        )
+
+
+def _needs(method: str) -> tuple[str, ...]:
+    return _imported(method).info.needs
 
 
 def _imported(method: str) -> type:

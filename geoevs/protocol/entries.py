@@ -19,12 +19,17 @@ OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_me
 
 @dataclass(frozen=True)
 class MethodEntry:
-    """One entrant of a run: a method, what it is called, its options and its seed."""
+    """One entrant of a run: a method, what it is called, its options and its seed.
+
+    `training` names the training (of the config's `training.variants`) whose weights it takes, with
+    the entrant's seed; methods that learn nothing beforehand have none.
+    """
 
     method: str
     variant: str = "default"
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
+    training: str = ""
 
     @property
     def label(self) -> str:
@@ -37,10 +42,12 @@ class MethodEntry:
         return ".".join(parts)
 
     @classmethod
-    def parse(cls, name: str, options: dict[str, Any], seed: int) -> "MethodEntry":
+    def parse(
+        cls, name: str, options: dict[str, Any], seed: int, training: str = ""
+    ) -> "MethodEntry":
         """An entry from its name in the config, `METHOD` or `METHOD.VARIANT`."""
         method, _, variant = name.partition(".")
-        return cls(method, variant or "default", options, seed)
+        return cls(method, variant or "default", options, seed, training)
 
 
 def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:

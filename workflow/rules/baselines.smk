@@ -5,6 +5,7 @@ rule fit:
     input:
         scene=in_run(layout.SCENE),
         targets=in_run(layout.TARGETS),
+        trained=trained,
     output:
         directory(in_run(layout.MODEL)),
     log:

@@ -1,4 +1,5 @@
 # The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
+import hashlib
 import json
 import shlex
 import sys
@@ -7,7 +8,7 @@ from pathlib import Path
 from geoevs import layout
 from geoevs.adapter import find_methods
 from geoevs.code_hash import code_hash
-from geoevs.config import check_config, method_entries
+from geoevs.config import check_config, method_entries, training_settings
 from geoevs.errors import GeoEvsError
 from geoevs.protocol.entries import ORACLES
 from geoevs.scenes.scene import find_sources
@@ -47,6 +48,8 @@ wildcard_constraints:
     scene="[^/]+",
     label="[^/]+",
     table="|".join(TABLES),
+    training="[^/.]+",
+    seed="[0-9]+",
 
 
 def in_run(pattern):
@@ -119,9 +122,24 @@ def fit_arguments(wildcards):
     """What only a fit is told: the method's options, and the wall time it may take."""
     seconds = config["budget"]["fit_seconds"]
     limit = "" if seconds is None else f"--fit-seconds {seconds}"
-    return (
-        f"--options {shlex.quote(json.dumps(ENTRIES[wildcards.label].options))} {limit}"
-    )
+    weights = {"weights": path for path in trained(wildcards)}
+    options = ENTRIES[wildcards.label].options | weights
+    return f"--options {shlex.quote(json.dumps(options))} {limit}"
+
+
+def trained(wildcards):
+    """The training whose weights an entrant takes, if it takes any."""
+    entry = ENTRIES[wildcards.label]
+    if not entry.training:
+        return []
+    return [in_run(layout.TRAINED).format(training=entry.training, seed=entry.seed)]
+
+
+def prior_hash():
+    """Hash of the pretrained weights, which are no output of any rule that tables need."""
+    files = sorted(Path(config["weights"]).glob("*.safetensors"))
+    contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    return hashlib.sha256(" ".join(contents).encode()).hexdigest()[:16]
 
 
 def evidence(wildcards):

@@ -1,0 +1,32 @@
+# Training Geo-EVS (paper sections 3.3, 3.4). A killed training goes on from its own folder, which
+# is no output, because Snakemake deletes the outputs of jobs that it did not see end.
+
+
+rule train:
+    input:
+        pairs=every_scene(layout.PAIRS, TRAINING_SCENES),
+        library=in_run(layout.MASK_LIBRARY),
+    output:
+        directory(in_run(layout.TRAINED)),
+    log:
+        in_run("logs/train/{training}.seed{seed}.log"),
+    benchmark:
+        in_run("benchmarks/train/{training}.seed{seed}.tsv")
+    threads: workflow.cores
+    params:
+        pairs=lambda wildcards, input: " ".join(
+            f"--pairs '{path}'" for path in input.pairs
+        ),
+        settings=lambda wildcards: json.dumps(
+            training_settings(config, wildcards.training)
+        ),
+        geometry=config["geometry"]["model"],
+        weights=config["weights"],
+        prior=prior_hash(),
+        work=in_run(layout.TRAINING),
+        code=code_hash("geoevs.generator.training"),
+    shell:
+        "geoevs --log {log:q} train {params.pairs} --library {input.library:q}"
+        " --settings {params.settings:q} --weights {params.weights:q}"
+        " --geometry {params.geometry:q} --work {params.work:q} --seed {wildcards.seed}"
+        " --out {output:q}"
