@@ -74,13 +74,16 @@ def train_autoencoder(
     images = read_images(scenes)
     with seeded(seed, "autoencoder"):
         autoencoder = Autoencoder(nano_autoencoder(), NANO_BLOCK)
-    autoencoder.to("cuda" if torch.cuda.is_available() else "cpu")
+    every = max(1, len(images) // 128)
+    some = to_tensor(images[::every])
+    autoencoder.fit_linear(some)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    autoencoder.to(device)
     task = AutoencoderTask(autoencoder, images, batch, (crop, crop))
     with training_bar(f"autoencoder on {len(images)} images", steps) as report:
         optimisation = Optimisation(steps, learning_rate, weight_decay=0.0)
         trained = train(task, optimisation, seed, "autoencoder", work, report)
-    every = max(1, len(images) // 128)
-    trained.fit_statistics(to_tensor(images[::every]).to(trained.shift.device))
+    trained.fit_statistics(some.to(device))
     save_autoencoder(out, trained, torch.float16)
 
 
