@@ -24,7 +24,11 @@ from geoevs.scenes.store import Scene, write_scene
 
 SCENES = ("straight-900", "curve-901", "junction-902")
 HEIGHT, WIDTH = 128, 192
-PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"every": 1, "angles": []}}
+PROTOCOL = {
+    "lateral": [-1.0, 1.0],
+    "pose_sweep": {"every": 1, "angles": []},
+    "masked": {"every": 1, "yaw": [0.0], "lateral": [0.0]},
+}
 
 
 def views(name: str, folder: Path) -> Iterator[tuple[Rendering, np.ndarray]]:
@@ -36,7 +40,7 @@ def views(name: str, folder: Path) -> Iterator[tuple[Rendering, np.ndarray]]:
     scene = Scene(folder)
     method = Reprojection()
     method.fit(Views(scene, scene.cameras, method.info.needs), Budget(), Rng(0))
-    targets = [t for t in make_targets(scene, PROTOCOL) if t.split == "extrapolation"]
+    targets = [t for t in make_targets(scene, PROTOCOL, seed=0) if t.split == "extrapolation"]
     truths = source.truth(street, [(target.camera, target.frame) for target in targets])
     for target, truth in zip(targets, truths, strict=True):
         yield method.render(target.camera, target.frame), truth.rgb

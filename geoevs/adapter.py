@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -200,6 +200,20 @@ class Adapter(Protocol):
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Restore what `save` wrote; it renders the same pixels."""
+        ...
+
+
+@runtime_checkable
+class MaskedAdapter(Adapter, Protocol):
+    """A method that has a condition map, and so can be asked for masked views (section 3.4)."""
+
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """As `render`, with the condition map's pixels outside `keep` hidden."""
         ...
 
 

@@ -18,6 +18,7 @@ from geoevs.adapter import (
     Adapter,
     Budget,
     FitReport,
+    MaskedAdapter,
     MethodInfo,
     Rendering,
     Rng,
@@ -26,12 +27,16 @@ from geoevs.adapter import (
 )
 from geoevs.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.tiny import MOUNT, tiny_camera, write_tiny_scene
+from geoevs.scenes.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
 
 # Where the checks render: what an `external` method must hold images of.
 FRAME = 1
 SOURCE = "front"
 VIRTUAL = tiny_camera("virtual", 22.5, MOUNT + np.array([0.5, 1.0, 0.0]))
+
+# What a masked view keeps of its condition map: all but a block in the middle.
+KEEP = np.ones((HEIGHT, WIDTH), bool)
+KEEP[HEIGHT // 4 : -HEIGHT // 4, WIDTH // 4 : -WIDTH // 4] = False
 
 # Views can tell when these are read; what else a method declares is taken at its word.
 WATCHED_NEEDS = ("lidar", "tracks")
@@ -104,6 +109,22 @@ class Trial:
         if camera.name not in self.rendered:
             self.rendered[camera.name] = self.method.render(camera, FRAME)
         return self.rendered[camera.name]
+
+    def render_masked(self) -> Rendering | None:
+        """The first fit's masked view, made once, where the method has any."""
+        if isinstance(self.method, MaskedAdapter) and "masked" not in self.rendered:
+            self.rendered["masked"] = self.method.render_masked(VIRTUAL, FRAME, KEEP)
+        return self.rendered.get("masked")
+
+    def difference(self, other: Adapter) -> str:
+        """The first part of these views that another copy of the method renders otherwise."""
+        for camera in (VIRTUAL, self.source):
+            if part := _difference(self.render(camera), other.render(camera, FRAME)):
+                return part
+        if masked := self.render_masked():
+            part = _difference(masked, other.render_masked(VIRTUAL, FRAME, KEEP))
+            return f"{part} of a masked view" if part else ""
+        return ""
 
 
 def check_adapter(name: str, options: dict) -> list[Check]:
@@ -202,6 +223,19 @@ def _check_virtual_view(trial: Trial) -> None:
     _check_rendering(trial.render(VIRTUAL), VIRTUAL)
 
 
+def _check_masked_view(trial: Trial) -> None:
+    if not isinstance(trial.method, MaskedAdapter):  # it has no condition map
+        return
+    _check_rendering(trial.render_masked(), VIRTUAL)
+    everything = trial.method.render_masked(VIRTUAL, FRAME, np.ones_like(KEEP))
+    difference = _difference(trial.render(VIRTUAL), everything)
+    if difference:
+        raise BrokenContractError(
+            f"render_masked that keeps every pixel gives another {difference} than render; hide "
+            "pixels of the condition map and change nothing else"
+        )
+
+
 def _check_rendering(rendering: Rendering, camera: Camera) -> None:
     if not isinstance(rendering, Rendering):
         raise BrokenContractError(f"render returned {type(rendering).__name__}; return a Rendering")
@@ -247,30 +281,28 @@ def _check_needs(trial: Trial) -> str | None:
 def _check_determinism(trial: Trial) -> None:
     again = make_method(trial.name, trial.options)
     trial.fit(again)
-    for camera in (VIRTUAL, trial.source):
-        difference = _difference(trial.render(camera), again.render(camera, FRAME))
-        if difference:
-            raise BrokenContractError(
-                f"two fits with the same rng rendered different {difference}; take all randomness "
-                "from rng.numpy or rng.torch"
-            )
+    difference = trial.difference(again)
+    if difference:
+        raise BrokenContractError(
+            f"two fits with the same rng rendered different {difference}; take all randomness "
+            "from rng.numpy or rng.torch"
+        )
 
 
 def _check_reload(trial: Trial) -> None:
     saved = trial.folder / "saved"
     for camera in (VIRTUAL, trial.source):
         trial.render(camera)
+    trial.render_masked()
     trial.method.save(saved)
     # The scene may be elsewhere, or gone, when a saved method is loaded.
     shutil.move(trial.folder / "scene", trial.folder / "scene-moved")
     try:
-        reloaded = type(trial.method).load(saved)
-        for camera in (VIRTUAL, trial.source):
-            difference = _difference(trial.render(camera), reloaded.render(camera, FRAME))
-            if difference:
-                raise BrokenContractError(
-                    f"after save and load the {difference} differs; save all that render needs"
-                )
+        difference = trial.difference(type(trial.method).load(saved))
+        if difference:
+            raise BrokenContractError(
+                f"after save and load the {difference} differs; save all that render needs"
+            )
     finally:
         shutil.move(trial.folder / "scene-moved", trial.folder / "scene")
 
@@ -319,6 +351,7 @@ CHECKS: dict[str, Callable[[Trial], str | None]] = {
     "fit": _check_fit,
     "source view": _check_source_view,
     "virtual view": _check_virtual_view,
+    "masked view": _check_masked_view,
     "declared needs": _check_needs,
     "determinism": _check_determinism,
     "save and reload": _check_reload,
@@ -327,6 +360,7 @@ CHECKS: dict[str, Callable[[Trial], str | None]] = {
 AFTER_FIT = (
     _check_source_view,
     _check_virtual_view,
+    _check_masked_view,
     _check_determinism,
     _check_reload,
 )

@@ -162,6 +162,41 @@ def test_each_broken_adapter_fails_its_check(adapter, kind):
     assert checks[failed].sentence
 
 
+MASKED = """
+    def render_masked(self, camera, frame, keep):
+        rendering = self.render(camera, frame)
+        return Rendering(np.where(keep[..., None], rendering.rgb, np.float32(0)))
+
+    def save("""
+BROKEN_MASKS = {
+    "wrong shape": (
+        "rendering.rgb, np.float32(0))",
+        "rendering.rgb, np.float32(0))[1:]",
+        "masked view",
+    ),
+    "changes what it keeps": ("np.float32(0))", "np.float32(0)) / 2", "masked view"),
+    "nondeterministic": ("np.float32(0))", "np.float32(np.random.rand()))", "determinism"),
+    "forgets state": ("np.float32(0))", "np.float32(self.fill))", "save and reload"),
+}
+
+
+def test_an_adapter_with_a_condition_map_passes(adapter):
+    assert set(statuses(adapter(GOOD.replace("\n    def save(", MASKED))).values()) == {"passed"}
+
+
+@pytest.mark.parametrize("kind", BROKEN_MASKS)
+def test_each_broken_mask_fails_its_check(adapter, kind):
+    old, new, failed = BROKEN_MASKS[kind]
+    assert MASKED.count(old) == 1
+    text = GOOD.replace("\n    def save(", MASKED.replace(old, new))
+    if kind == "forgets state":
+        text = text.replace("return FitReport()", "self.fill = 0.25\n        return FitReport()")
+        text = text.replace("method = cls()", "method = cls()\n        method.fill = 0.75")
+    found = statuses(adapter(text))
+    assert found[failed] == "failed"
+    assert {found[name] for name in ("source view", "virtual view")} == {"passed"}
+
+
 def test_undeclared_needs_fail_even_if_the_refusal_is_swallowed(adapter):
     text = GOOD.replace(
         "return FitReport()",

@@ -122,16 +122,23 @@ def test_a_scene_without_its_data_set_is_named(geoevs, tmp_path):
 
 def test_a_stage_writes_what_the_next_one_reads(geoevs, tmp_path):
     scene = write_tiny_scene(tmp_path / "tiny").folder
-    protocol = {"lateral": [1.0], "pose_sweep": {"angles": [], "every": 1}}
+    protocol = {
+        "lateral": [1.0],
+        "pose_sweep": {"angles": [], "every": 1},
+        "masked": {"yaw": [20.0], "lateral": [2.0], "every": 2},
+    }
     targets = tmp_path / "targets.json"
     code, _, errors = geoevs(
         *("targets", "--scene", scene, "--protocol", json.dumps(protocol), "--out", targets)
     )
     assert (code, errors) == (0, "")
-    # Two frames of three cameras, one interpolation and one shift to either side.
-    assert len(json.loads(targets.read_text())) == 2 * (3 + 1 + 2)
+    # Two frames of three cameras, one interpolation and one shift to either side; the first has
+    # them masked, too, but for the interpolation.
+    assert len(json.loads(targets.read_text())) == 2 * (3 + 1 + 2) + (3 + 2)
     code, _, errors = geoevs(
-        *("references", "--scene", scene, "--targets", targets, "--out", tmp_path / "r.npz")
+        *("references", "--scene", scene, "--targets", targets),
+        *("--out", tmp_path / "r.npz", "--masks", tmp_path / "m.npz"),
     )
     assert (code, errors) == (0, "")
     assert (tmp_path / "r.npz").stat().st_size > 1000
+    assert (tmp_path / "m.npz").stat().st_size > 1000

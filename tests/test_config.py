@@ -26,6 +26,7 @@ protocol:
   lateral: [-1, 1]
   pose_sweep: {angles: [5], every: 2}
   reference_keep: [1.0, 0.5]
+  masked: {yaw: [10], lateral: [-3, 3], every: 1}
 budget: {fit_seconds: null}
 methods:
   reference: {}
@@ -89,7 +90,7 @@ MISTAKES = {
     "unknown nested key": (
         "  pose_bins: [0, 10]",
         "  pose_bin: [0, 10]",
-        "22: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: confidence, ",
+        "23: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: confidence, ",
     ),
     "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
     "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
@@ -107,14 +108,14 @@ MISTAKES = {
     ),
     "one size": ("[48, 72]", "[48]", "3: 'resolution' is wrong: [48] is too short (it means: "),
     "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is less than the min"),
-    "null": ("confidence: 0.95", "confidence: null", "25: 'tables.confidence' is wrong: None"),
+    "null": ("confidence: 0.95", "confidence: null", "26: 'tables.confidence' is wrong: None"),
     "a run that is a path": ("run: test", "run: ../a", "1: '../a' is not an allowed name; use "),
     "a data set that is a path": (
         "  real:\n",
         "  ../real:\n",
         "6: '../real' is not an allowed name; use lower case and hyphens",
     ),
-    "a method in capitals": ("  reference:", "  Reference:", "18: 'Reference' is not an allowed"),
+    "a method in capitals": ("  reference:", "  Reference:", "19: 'Reference' is not an allowed"),
     "unknown data set": (
         "evaluate: [real]",
         "evaluate: [reel]",
@@ -138,22 +139,22 @@ MISTAKES = {
     "unknown method": (
         "  reference:",
         "  refrence:",
-        "18: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
+        "19: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
     ),
     "unknown method option": (
         "{inpaint: fsr-best}",
         "{inpant: fsr-best}",
-        "19: method 'reproject-inpaint.best' has no option 'inpant'; did you mean 'inpaint'?",
+        "20: method 'reproject-inpaint.best' has no option 'inpant'; did you mean 'inpaint'?",
     ),
     "an option of the reference": (
         "reference: {}",
         "reference: {options: {a: 1}}",
-        "18: the control 'reference' has no options; remove them",
+        "19: the control 'reference' has no options; remove them",
     ),
     "one label twice": (
         "reference: {}",
         "reproject.default: {}\n  reproject: {}",
-        "19: two entrants are called 'reproject.seed3'; rename one variant",
+        "20: two entrants are called 'reproject.seed3'; rename one variant",
     ),
     "overlapping ranges": (
         '"002@10-19"',
@@ -173,19 +174,20 @@ MISTAKES = {
     "edges that fall": (
         "pose_bins: [0, 10]",
         "pose_bins: [0, 10, 5]",
-        "22: the edges must rise; sort them and drop repeats",
+        "23: the edges must rise; sort them and drop repeats",
     ),
-    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "23: the edges must rise"),
-    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "22: 'tables.pose_bins' is wrong: [0]"),
+    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "24: the edges must rise"),
+    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "23: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
     "a mask beyond the side camera": (
         "[0, 1], lateral",
         "[0, 1.5], lateral",
-        "28: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+        "29: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
     ),
-    "no masks": ("[-2, 2]", "[]", "28: 'conditions.masks.lateral' is wrong: [] "),
-    "no time": ("fit_seconds: null", "fit_seconds: 0", "16: 'budget.fit_seconds' is wrong: 0 is"),
+    "no masks": ("[-2, 2]", "[]", "29: 'conditions.masks.lateral' is wrong: [] "),
+    "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),
+    "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }
 
 

@@ -17,7 +17,7 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (collect, table, cost_table, grid, manifest, failures):
+    for command in (collect, table, ablation_table, cost_table, grid, manifest, failures):
         app.command()(command)
 
 
@@ -50,6 +50,21 @@ def table(
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(spec, made))
     write_text(out.with_suffix(".tex"), to_latex(spec, made))
+
+
+def ablation_table(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+) -> None:
+    """Compare the variants of Geo-EVS with the full model, as CSV, Markdown and LaTeX."""
+    from geoevs.io import write_text
+    from geoevs.results.ablation import ablation_latex, ablation_markdown, make_ablation_table
+
+    made = make_ablation_table(_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), ablation_markdown(made))
+    write_text(out.with_suffix(".tex"), ablation_latex(made))
 
 
 def cost_table(

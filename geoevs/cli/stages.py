@@ -15,6 +15,7 @@ Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 TargetFile = Annotated[Path, typer.Option(help="The scene's target list.")]
+MaskFile = Annotated[Path, typer.Option(help="The masks that `geoevs references` wrote.")]
 Size = Annotated[int, typer.Option(min=1, help="Pixels.")]
 Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
@@ -57,12 +58,13 @@ def targets(
     scene: SceneFolder,
     protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
     out: Out,
+    seed: Seed = 0,
 ) -> None:
-    """List the views to synthesise: observed, interpolation, extrapolation and pose sweep."""
+    """List the views to synthesise: observed, interpolation, extrapolation, sweep and masked."""
     from geoevs.protocol.targets import make_targets, write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), parse_json("--protocol", protocol)))
+    write_targets(out, make_targets(Scene(scene), parse_json("--protocol", protocol), seed))
 
 
 def truth(
@@ -75,12 +77,12 @@ def truth(
     options: Options = "{}",
 ) -> None:
     """Render dense truth at virtual targets, for sources that can; no method may see it."""
-    from geoevs.protocol.targets import read_targets
+    from geoevs.protocol.targets import read_targets, virtual_targets
     from geoevs.protocol.truth import write_truth
     from geoevs.scenes.scene import SceneRef, load_source
 
     wanted = read_targets(targets)
-    virtual = sum(not target.recorded for target in wanted)
+    virtual = len(virtual_targets(wanted))
     made = load_source(source, height, width, parse_json("--options", options))
     with progress_bar(f"truth {name}", virtual) as advance:
         write_truth(out, made, SceneRef.parse(name), wanted, advance)
@@ -90,14 +92,23 @@ def references(
     scene: SceneFolder,
     targets: TargetFile,
     out: Out,
+    masks: Annotated[Path, typer.Option(help="Where the masks of masked targets go.")],
     seed: Seed = 0,
 ) -> None:
-    """Project the scoring LiDAR points into every virtual target (the LPSR reference)."""
-    from geoevs.protocol.reference import make_references, write_references
+    """Project the scoring LiDAR points into every virtual target (the LPSR reference).
+
+    The masks that degrade the conditions of masked targets come with it, in a file of their own.
+    """
+    from geoevs.protocol.masks import RawReprojection, make_masks
+    from geoevs.protocol.records import write_records
+    from geoevs.protocol.reference import make_references
     from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    write_references(out, make_references(Scene(scene), read_targets(targets), seed))
+    store, wanted = Scene(scene), read_targets(targets)
+    reprojection = RawReprojection(store)
+    write_records(out, make_references(store, wanted, reprojection, seed))
+    write_records(masks, make_masks(wanted, reprojection))
 
 
 def fit(
@@ -125,6 +136,7 @@ def render(
     method: Annotated[str, typer.Option(help="The method's name.")],
     model: Annotated[Path, typer.Option(help="What `geoevs fit` wrote.")],
     targets: TargetFile,
+    masks: MaskFile,
     out: Out,
     method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
     scene: Annotated[str, typer.Option(help="For the controls reference and truth alone.")] = "",
@@ -138,7 +150,7 @@ def render(
     from geoevs.protocol.runs import render_method
 
     evidence = {"scene": scene, "references": references, "truth": truth}
-    render_method(MethodEntry(method), model, targets, evidence, out, method_log)
+    render_method(MethodEntry(method), model, targets, masks, evidence, out, method_log)
 
 
 def score(
@@ -149,6 +161,7 @@ def score(
     targets: TargetFile,
     references: Annotated[Path, typer.Option(help="What `geoevs references` wrote.")],
     truth: Annotated[Path, typer.Option(help="What `geoevs truth` wrote.")],
+    masks: MaskFile,
     renders: Annotated[Path, typer.Option(help="What `geoevs render` wrote.")],
     protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
     out: Out,
@@ -167,7 +180,7 @@ def score(
     entry = MethodEntry(method, variant, {}, seed)
     place = {"dataset": dataset, "scene": scene_name}
     common = {**place, "fingerprint": protocol_fingerprint(Scene(scene), settings)}
-    evidence = Evidence(scene, targets, references, truth)
+    evidence = Evidence(scene, targets, references, truth, masks)
     rows = score_method(entry, evidence, renders, settings["reference_keep"], common)
     write_bytes(out, score_frame(rows).to_parquet(index=False))
     write_bytes(costs, cost_frame(cost_rows(entry, renders, place)).to_parquet(index=False))
@@ -192,7 +205,8 @@ def export(
     from geoevs.scenes.store import Scene
 
     store = Scene(scene)
-    wanted = [target for target in read_targets(targets) if target.sources == sources]
+    # Images from elsewhere come from no condition map that could be masked.
+    wanted = [t for t in read_targets(targets) if t.sources == sources and not t.masked]
     with new_folder(out) as partial:
         Views(store, source_cameras(store, sources), NEEDS).save(partial / "scene")
         write_targets(partial / "cameras.json", wanted)

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from geoevs.adapter import Budget, Rng, Views, make_method
+from geoevs.adapter import Budget, MaskedAdapter, Rng, Views, make_method
 from geoevs.protocol.clock import synchronise
 from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene
@@ -31,7 +31,8 @@ def fit_step(
         folder: an empty folder for the saved method.
 
     Returns:
-        Fit seconds, primitives, parameters, bytes on disk, and the method's note.
+        Fit seconds, primitives, parameters, bytes on disk, the method's note, and whether it can
+        be asked for masked views.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
@@ -49,4 +50,5 @@ def fit_step(
         "parameters": int(report.parameters),
         "bytes": size,
         "note": report.note,
+        "masked": isinstance(adapter, MaskedAdapter),
     }

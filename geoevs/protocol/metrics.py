@@ -221,9 +221,16 @@ METRICS = {
     "sparse_ssim_zero_fill": MetricSpec(SSIMZeroFill, "reference"),
     "psnr": MetricSpec(PSNR, "dense", "dB"),
     "psnr_new": MetricSpec(PSNR, "dense-new", "dB"),
+    "psnr_supported": MetricSpec(PSNR, "dense-supported", "dB"),
+    "psnr_removed": MetricSpec(PSNR, "dense-removed", "dB"),
+    "psnr_never": MetricSpec(PSNR, "dense-never", "dB"),
+    "psnr_unsupported": MetricSpec(PSNR, "dense-unsupported", "dB"),
+    "sparse_psnr_removed": MetricSpec(PSNR, "reference-removed", "dB"),
     "ssim": MetricSpec(SSIM, "dense"),
     "mae": MetricSpec(MAE, "dense"),
 }
 """Every metric by its name in the rows. Regions: the sparse reference's valid pixels, those of
 them that raw reprojection leaves empty (`new`), those whose point also passes the footprint test,
-and the dense truth's pixels, where there is one."""
+and the dense truth's pixels, where there is one, `supported` by raw reprojection or not (`new`).
+Masked targets have other ones: pixels that the degraded condition still has (`supported`), that the
+mask took from it (`removed`), that it never had (`never`), and both of these (`unsupported`)."""

@@ -41,7 +41,7 @@ class Oracle:
                     "under methods for recorded data"
                 )
             return Rendering(dense)
-        reference = self._references[target.key]
+        reference = self._references[target.unmasked.key]
         image = reference.image()
         if dense is None:
             return Rendering(image)

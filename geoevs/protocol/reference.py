@@ -1,15 +1,14 @@
 """The LiDAR-projected sparse reference of a target, and the masks that score it (section 3.5)."""
 
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
-from geoevs.adapter import Rng, Views
-from geoevs.geometry.lift import lidar_depths, lift_frame
-from geoevs.io import whole_file, write_arrays
+from geoevs.adapter import Rng
 from geoevs.projection import zbuffer
-from geoevs.protocol.targets import ALL_CAMERAS, Target
+from geoevs.protocol.masks import RawReprojection
+from geoevs.protocol.records import Records
+from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.store import Scene
 
@@ -76,53 +75,25 @@ def sparse_reference(
     )
 
 
-def make_references(scene: Scene, targets: list[Target], seed: int) -> dict[str, SparseReference]:
-    """The references of every target that no camera recorded, by target key.
-
-    The mask of raw reprojection comes from the points that methods may use, one for all methods.
-    """
+def make_references(
+    scene: Scene, targets: list[Target], reprojection: RawReprojection, seed: int
+) -> dict[str, SparseReference]:
+    """The references of every virtual target, by target key."""
     references = {}
-    views = Views(scene, scene.cameras, needs=("lidar",))
+    virtual = virtual_targets(targets)
     for frame in scene.frames:
-        virtual = [t for t in targets if t.frame == frame and not t.recorded]
-        if not virtual:
-            continue
         points = scene.points(frame)
         scoring = points.select(scene.info.rig.scores(points))
-        # All of them have the front camera's lens, so one cloud is fine enough for each.
-        cloud, _ = lift_frame(views, frame, lidar_depths(views, frame), virtual[0].camera)
-        for target in virtual:
+        for target in (target for target in virtual if target.frame == frame):
             if target.sources != ALL_CAMERAS:
                 raise ValueError(f"no sparse reference is defined for sources {target.sources}")
-            reprojected = zbuffer(cloud, target.camera).index >= 0
+            reprojected = reprojection.validity(target.camera, frame)
             rng = Rng(seed, "reference", scene.info.name, target.key).numpy
             references[target.key] = sparse_reference(scoring, target, reprojected, rng)
     return references
 
 
-def write_references(path: Path, references: dict[str, SparseReference]) -> None:
-    """Write references as one .npz, whole or not at all."""
-    arrays = {}
-    for key, reference in references.items():
-        for name in (field.name for field in fields(SparseReference)):
-            arrays[f"{key}/{name}"] = getattr(reference, name)
-    write_arrays(path, arrays)
+class References(Records[SparseReference]):
+    """A file of sparse references; masked targets have that of `target.unmasked`."""
 
-
-class References:
-    """A file of references, read one target at a time.
-
-    Raises:
-        GeoEvsError: the file is missing or not whole.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = Path(path)
-        with whole_file(path):
-            self._file = np.load(path, allow_pickle=False)
-
-    def __getitem__(self, key: str) -> SparseReference:
-        """The reference of the target with this key."""
-        names = (field.name for field in fields(SparseReference))
-        with whole_file(self._path):
-            return SparseReference(**{name: self._file[f"{key}/{name}"] for name in names})
+    kind = SparseReference

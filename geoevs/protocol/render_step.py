@@ -8,25 +8,35 @@ from typing import Any
 
 import numpy as np
 
-from geoevs.adapter import Rendering, method_class
+from geoevs.adapter import MaskedAdapter, Rendering, method_class
 from geoevs.errors import GeoEvsError
 from geoevs.io import to_uint8, write_image
 from geoevs.protocol.clock import synchronise
 from geoevs.protocol.entries import ORACLES
+from geoevs.protocol.masks import Masks
 from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.targets import Target, read_targets
 
 
 def render_step(
-    method: str, targets: str, sources: str, model: str, evidence: dict[str, str], folder: str
+    method: str,
+    targets: str,
+    sources: str,
+    model: str,
+    masks: str,
+    evidence: dict[str, str],
+    folder: str,
 ) -> dict[str, Any]:
     """Render every target of a set of sources with a saved method.
+
+    Masked targets are left out where the method has no condition map to mask.
 
     Args:
         method: its name.
         targets: the scene's target list.
         sources: the set of sources whose targets to render.
         model: the saved method; unused by oracles.
+        masks: the scene's condition masks; oracles show the view without.
         evidence: paths of the scene, references and truth; for oracles alone.
         folder: where `<target key>.png` go.
 
@@ -39,8 +49,14 @@ def render_step(
         render = Oracle(method, **evidence).render
     else:
         adapter = method_class(method).load(Path(model))
+        if not isinstance(adapter, MaskedAdapter):
+            wanted = [target for target in wanted if not target.masked]
+        stored = Masks(Path(masks))
+        keeps = {target.key: stored[target.key].keep for target in wanted if target.masked}
 
         def render(target: Target) -> Rendering:
+            if target.masked:
+                return adapter.render_masked(target.camera, target.frame, keeps[target.key])
             return adapter.render(target.camera, target.frame)
 
     render(wanted[0])

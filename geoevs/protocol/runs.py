@@ -27,7 +27,7 @@ def fit_method(
             model = partial / sources / "model"
             model.mkdir(parents=True)
             if entry.method in ORACLES:
-                nothing = {"fit_seconds": 0.0, "bytes": 0}
+                nothing = {"fit_seconds": 0.0, "bytes": 0, "masked": True}
                 outcomes[sources] = _succeeded(nothing, Usage(0, 0), budget.threads)
                 continue
             arguments = {
@@ -47,6 +47,7 @@ def render_method(
     entry: MethodEntry,
     model: Path,
     targets: Path,
+    masks: Path,
     evidence: dict[str, str],
     folder: Path,
     log: Path,
@@ -65,6 +66,7 @@ def render_method(
                 "targets": str(targets),
                 "sources": sources,
                 "model": str(model / sources / "model"),
+                "masks": str(masks),
                 "evidence": evidence,
                 "folder": str(partial),
             }

@@ -11,6 +11,7 @@ import numpy as np
 from geoevs.errors import GeoEvsError
 from geoevs.io import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.masks import ConditionMask, Masks
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.rows import COST_TYPES
@@ -24,12 +25,13 @@ THINNED_METRICS = ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill", "spars
 
 @dataclass(frozen=True)
 class Evidence:
-    """Where the answers of one scene lie: store, target list, references and truth."""
+    """Where the answers of one scene lie: store, target list, references, truth and masks."""
 
     scene: Path
     targets: Path
     references: Path
     truth: Path
+    masks: Path
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Answer:
 def regions(
     reference: SparseReference | None, dense: np.ndarray | None, keep: float
 ) -> dict[str, Answer]:
-    """The regions that metrics name (see METRICS), as far as this target has them.
+    """The regions that metrics name (see METRICS), as far as this unmasked target has them.
 
     Args:
         reference: the sparse reference, of virtual targets.
@@ -65,8 +67,37 @@ def regions(
         if dense is not None:
             found["dense"] = Answer(dense, everywhere, ratio)
             found["dense-new"] = Answer(dense, ~reference.reprojected, ratio)
+            found["dense-supported"] = Answer(dense, reference.reprojected, ratio)
     elif dense is not None:
         found["dense"] = Answer(dense, everywhere, 1.0)
+    return found
+
+
+def masked_regions(
+    mask: ConditionMask, reference: SparseReference | None, dense: np.ndarray | None, keep: float
+) -> dict[str, Answer]:
+    """The regions of a masked target (see METRICS); support ratios are the degraded condition's.
+
+    Args:
+        mask: how its condition was degraded.
+        reference: the sparse reference, of extrapolated targets.
+        dense: (H, W, 3) truth, where known.
+        keep: the share of reference pixels to keep.
+    """
+    found = {}
+    ratio = float(mask.supported.mean())
+    if dense is not None:
+        pixels = {
+            "dense": np.ones(dense.shape[:2], bool),
+            "dense-supported": mask.supported,
+            "dense-removed": mask.removed,
+            "dense-never": ~mask.reprojected,
+            "dense-unsupported": ~mask.supported,
+        }
+        found |= {name: Answer(dense, region, ratio) for name, region in pixels.items()}
+    if reference is not None:
+        hidden = reference.mask(keep) & mask.removed
+        found["reference-removed"] = Answer(reference.image(), hidden, ratio)
     return found
 
 
@@ -74,6 +105,9 @@ def score_method(
     entry: MethodEntry, evidence: Evidence, renders: Path, keeps: list[float], common: dict
 ) -> list[dict[str, Any]]:
     """Score every target of a scene; a failed render gives rows that say so.
+
+    Methods without a condition map have no rows of masked targets, unless their fit failed: then
+    nobody could ask them.
 
     Args:
         entry: who rendered.
@@ -84,7 +118,7 @@ def score_method(
         common: columns that all rows share: dataset, scene, fingerprint.
     """
     scene = Scene(evidence.scene)
-    references = References(evidence.references)
+    references, masks = References(evidence.references), Masks(evidence.masks)
     outcomes = read_outcomes(renders / "render.json")
     rows = []
     for target in read_targets(evidence.targets):
@@ -94,9 +128,11 @@ def score_method(
                 "folder and rerun"
             )
         outcome = outcomes[target.sources]
+        if target.masked and not outcome.get("masked", True):
+            continue
         failed = outcome["status"] == FAILED
         preds = None if failed else to_float(read_image(renders / f"{target.key}.png"))
-        reference = None if target.recorded else references[target.key]
+        reference = None if target.recorded else references[target.unmasked.key]
         dense = dense_truth(scene, evidence.truth, target)
         described = {
             **common,
@@ -104,7 +140,10 @@ def score_method(
             **{name: outcome[name] for name in ("stage", "reason", "log")},
         }
         main, *thinned = keeps
-        answers = regions(reference, dense, main)
+        if target.masked:
+            answers = masked_regions(masks[target.key], reference, dense, main)
+        else:
+            answers = regions(reference, dense, main)
         names = [name for name, spec in METRICS.items() if spec.region in answers]
         plain = {**described, "stressor": "", "level": math.nan}
         rows += [{**plain, **score} for score in _scores(names, preds, answers)]

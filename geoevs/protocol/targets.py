@@ -1,9 +1,10 @@
 """Target poses of every split, and the sources each one allows (paper sections 4.1 to 4.4)."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from geoevs.adapter import Rng
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera, angle_between
@@ -12,7 +13,11 @@ from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 ALL_CAMERAS = "all-cameras"
 FRONT_SIDE = "front-side"
-RECORDED_SPLITS = ("observed", "interpolation")
+MASKED = "masked-"
+"""Begins the split and the camera name of a masked target; what follows are those of the target
+whose view it shares."""
+
+RECORDED_SPLITS = ("observed", "interpolation", f"{MASKED}observed")
 """Splits whose targets a camera recorded, so that its image is dense truth."""
 
 
@@ -21,12 +26,15 @@ class Target:
     """One view to synthesise.
 
     Args:
-        split: `observed`, `interpolation`, `extrapolation` or `pose-sweep`.
+        split: `observed`, `interpolation`, `extrapolation`, `pose-sweep`, `masked-observed` or
+            `masked-extrapolation`.
         frame: the instant.
         camera: its calibration; `camera.name` names the target within the frame.
         sources: the set of source cameras, ALL_CAMERAS or FRONT_SIDE.
         pose_offset: angle in degrees between its optical axis and the front camera's.
         lateral_shift: metres to the left, along the horizontal normal of the ego heading.
+        mask_camera: of masked targets, the virtual camera whose validity mask degrades the
+            condition map (section 3.4); its name says the pose.
     """
 
     split: str
@@ -35,6 +43,7 @@ class Target:
     sources: str
     pose_offset: float
     lateral_shift: float
+    mask_camera: Camera | None = None
 
     @property
     def key(self) -> str:
@@ -45,6 +54,28 @@ class Target:
     def recorded(self) -> bool:
         """Whether a camera recorded this view (see RECORDED_SPLITS)."""
         return self.split in RECORDED_SPLITS
+
+    @property
+    def masked(self) -> bool:
+        """Whether methods render it from a degraded condition map."""
+        return self.mask_camera is not None
+
+    @property
+    def unmasked(self) -> "Target":
+        """The target whose view, truth and reference this one shares; itself if not masked."""
+        if not self.masked:
+            return self
+        camera = replace(self.camera, name=self.camera.name.removeprefix(MASKED))
+        split = self.split.removeprefix(MASKED)
+        return replace(self, split=split, camera=camera, mask_camera=None)
+
+
+def virtual_targets(targets: Sequence[Target]) -> list[Target]:
+    """Those that no camera recorded; masked ones share the view of another, so they are left out.
+
+    These are the ones that have a sparse reference, and truth that must be rendered.
+    """
+    return [target for target in targets if not target.recorded and not target.masked]
 
 
 def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
@@ -62,8 +93,11 @@ def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
     raise GeoEvsError(f"there is no set of sources '{sources}'; {hint}")
 
 
-def make_targets(scene: Scene, protocol: dict) -> list[Target]:
-    """Every target of a scene under the config's `protocol` section, in a fixed order."""
+def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
+    """Every target of a scene under the config's `protocol` section, in a fixed order.
+
+    The seed draws which virtual pose masks which target.
+    """
     rig = scene.info.rig
     targets: list[Target] = []
     for position, frame in enumerate(scene.frames):
@@ -72,21 +106,20 @@ def make_targets(scene: Scene, protocol: dict) -> list[Target]:
             "left": scene.camera(rig.front_left, frame),
             "right": scene.camera(rig.front_right, frame),
         }
-        for name in scene.cameras:
-            camera = scene.camera(name, frame)
-            offset = angle_between(camera.optical_axis, front.optical_axis)
-            targets.append(Target("observed", frame, camera, ALL_CAMERAS, offset, 0.0))
-        targets.append(Target("interpolation", frame, _renamed(front), FRONT_SIDE, 0.0, 0.0))
-        targets += _extrapolation(front, sides, frame, protocol["lateral"])
+        cameras = [scene.camera(name, frame) for name in scene.cameras]
+        observed = [_target("observed", frame, camera, front, 0.0) for camera in cameras]
+        renamed = replace(front, name=f"interpolation-{front.name}")
+        interpolation = Target("interpolation", frame, renamed, FRONT_SIDE, 0.0, 0.0)
+        extrapolation = list(_extrapolation(front, sides, frame, protocol["lateral"]))
+        targets += [*observed, interpolation, *extrapolation]
         if position % protocol["pose_sweep"]["every"] == 0:
             targets += _pose_sweep(front, sides, frame, protocol)
+        if position % protocol["masked"]["every"] == 0:
+            poses = list(_mask_poses(front, sides, protocol["masked"]))
+            for target in (*observed, *extrapolation):
+                rng = Rng(seed, "mask", scene.info.name, target.key).numpy
+                targets.append(_masked(target, poses[rng.integers(len(poses))]))
     return targets
-
-
-def _renamed(front: Camera) -> Camera:
-    return Camera(
-        front.K, front.world_from_camera, front.height, front.width, f"interpolation-{front.name}"
-    )
 
 
 def _extrapolation(
@@ -97,7 +130,7 @@ def _extrapolation(
         for shift in shifts:
             name = f"extrapolation-{side}{shift:+g}m"
             virtual = virtual_camera(front, camera, half, shift, name)
-            yield _virtual_target("extrapolation", frame, virtual, front, shift)
+            yield _target("extrapolation", frame, virtual, front, shift)
 
 
 def _pose_sweep(
@@ -108,10 +141,23 @@ def _pose_sweep(
             for shift in protocol["lateral"]:
                 name = f"pose-sweep-{side}{angle:g}deg{shift:+g}m"
                 virtual = virtual_camera(front, camera, angle, shift, name)
-                yield _virtual_target("pose-sweep", frame, virtual, front, shift)
+                yield _target("pose-sweep", frame, virtual, front, shift)
 
 
-def _virtual_target(split: str, frame: int, camera: Camera, front: Camera, shift: float) -> Target:
+def _mask_poses(front: Camera, sides: dict[str, Camera], masked: dict) -> Iterator[Camera]:
+    for angle in masked["yaw"]:
+        for side, camera in sides.items():
+            for shift in masked["lateral"]:
+                name = f"mask-{side}{angle:g}deg{shift:+g}m"
+                yield virtual_camera(front, camera, angle, shift, name)
+
+
+def _masked(target: Target, mask_camera: Camera) -> Target:
+    camera = replace(target.camera, name=f"{MASKED}{target.camera.name}")
+    return replace(target, split=f"{MASKED}{target.split}", camera=camera, mask_camera=mask_camera)
+
+
+def _target(split: str, frame: int, camera: Camera, front: Camera, shift: float) -> Target:
     offset = angle_between(camera.optical_axis, front.optical_axis)
     return Target(split, frame, camera, ALL_CAMERAS, offset, shift)
 
@@ -126,11 +172,20 @@ def write_targets(path: Path, targets: list[Target]) -> None:
             "sources": target.sources,
             "pose_offset": target.pose_offset,
             "lateral_shift": target.lateral_shift,
+            "mask_camera": _optional_to_json(target.mask_camera),
             **camera_to_json(target.camera),
         }
         for target in targets
     ]
     write_json(path, entries)
+
+
+def _optional_to_json(camera: Camera | None) -> dict | None:
+    return None if camera is None else {"name": camera.name, **camera_to_json(camera)}
+
+
+def _optional_from_json(entry: dict | None, path: Path) -> Camera | None:
+    return None if entry is None else camera_from_json(entry, entry["name"], path)
 
 
 def read_targets(path: Path) -> list[Target]:
@@ -148,6 +203,7 @@ def read_targets(path: Path) -> list[Target]:
                 entry["sources"],
                 entry["pose_offset"],
                 entry["lateral_shift"],
+                _optional_from_json(entry["mask_camera"], path),
             )
             for entry in read_json(path)
         ]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from geoevs.io import new_folder, read_image, to_float, write_arrays, write_image, write_json
-from geoevs.protocol.targets import Target
+from geoevs.protocol.targets import Target, virtual_targets
 from geoevs.scenes.scene import SceneRef, SceneSource
 from geoevs.scenes.store import Scene
 
@@ -18,7 +18,7 @@ def write_truth(
     targets: list[Target],
     advance: Callable[[], None],
 ) -> None:
-    """Render truth at every target that no camera recorded: `<target key>.png` and `.npz` (depth).
+    """Render truth at every virtual target: `<target key>.png` and `.npz` (depth).
 
     Sources without truth leave a folder that holds `truth.json` alone, which lists the targets.
 
@@ -29,7 +29,7 @@ def write_truth(
         targets: the scene's targets.
         advance: called after each view, for a progress bar.
     """
-    virtual = [target for target in targets if not target.recorded and source.has_truth]
+    virtual = virtual_targets(targets) if source.has_truth else []
     with new_folder(folder) as partial:
         views = [(target.camera, target.frame) for target in virtual]
         rendered = source.truth(ref, views) if views else ()
@@ -42,6 +42,7 @@ def write_truth(
 
 def dense_truth(scene: Scene, truth: Path, target: Target) -> np.ndarray | None:
     """(H, W, 3) float32 of a target's true pixels, or None where nobody knows them."""
+    target = target.unmasked
     if target.split == "observed":
         return scene.image(target.camera.name, target.frame)
     if target.split == "interpolation":

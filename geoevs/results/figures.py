@@ -1,5 +1,6 @@
 """Pictures of a run: for every table a grid of targets against methods, with what scored them."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from geoevs import layout
 from geoevs.io import encode_png, read_image, to_uint8
+from geoevs.protocol.masks import ConditionMask, Masks
 from geoevs.protocol.reference import References, SparseReference
-from geoevs.protocol.targets import RECORDED_SPLITS, Target, read_targets
+from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target, read_targets
 from geoevs.protocol.truth import dense_truth
-from geoevs.results.tables import table_spec
+from geoevs.results.tables import TableSpec, table_spec
 from geoevs.scenes.store import Scene
 
 TILE_WIDTH = 256
@@ -25,6 +27,7 @@ UNSUPPORTED = (90, 30, 90)
 SUPPORTED = (45, 45, 45)
 VALID = (120, 220, 120)
 NEW = (255, 90, 60)
+REMOVED = NEW  # what reprojection has and the mask hides
 
 
 @dataclass(frozen=True)
@@ -47,19 +50,22 @@ def table_grid(
         labels: the entrants' labels, one column each.
         keeps: the shares of the reference, for the sparsity table's rows.
     """
-    split = table_spec(table).split
+    spec = table_spec(table)
     rows = []
     for dataset, scene in scenes:
         where = {"dataset": dataset, "scene": scene}
         store = Scene(run / layout.SCENE.format(**where))
         references = References(run / layout.REFERENCES.format(**where))
+        masks = Masks(run / layout.MASKS.format(**where))
         truth = run / layout.TRUTH.format(**where)
         targets = read_targets(run / layout.TARGETS.format(**where))
-        candidates = [target for target in targets if target.split == split]
+        candidates = [target for target in targets if target.split in spec.splits]
         for target, keep in _pick(table, candidates, keeps):
             dense = dense_truth(store, truth, target)
             evidence = [None if dense is None else to_uint8(dense)]
-            if not target.recorded:
+            if target.masked:
+                evidence.append(mask_picture(masks[target.key]))
+            elif not target.recorded:
                 reference = references[target.key]
                 image = reference.image() * reference.mask(keep)[..., None]
                 evidence += [_thicken(to_uint8(image)), validity_picture(reference, keep)]
@@ -70,9 +76,7 @@ def table_grid(
             share = "" if table != "sparsity" else f", {keep:.0%} of reference"
             name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
             rows.append(Row(name, [*evidence, *renders]))
-    virtual_evidence = ["truth", "sparse reference", "validity"]
-    evidence_names = ["recorded"] if split in RECORDED_SPLITS else virtual_evidence
-    columns = [*evidence_names, *labels]
+    columns = [*_evidence_names(spec), *labels]
     shown = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
     rows = [Row(row.label, [row.pictures[k] for k in shown]) for row in rows]
     return encode_png(draw_grid([columns[k] for k in shown], rows))
@@ -89,6 +93,17 @@ def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarra
     mask = reference.mask(keep)
     picture[mask & reference.reprojected] = VALID
     picture[mask & ~reference.reprojected] = NEW
+    return picture
+
+
+def mask_picture(mask: ConditionMask) -> np.ndarray:
+    """(H, W, 3) uint8: how a masked target's condition was degraded.
+
+    Grey is left to it, orange was hidden by the mask, purple had no support before.
+    """
+    supported = mask.supported[..., None]
+    picture = np.where(supported, SUPPORTED, UNSUPPORTED).astype(np.uint8)
+    picture[mask.removed] = REMOVED
     return picture
 
 
@@ -124,6 +139,14 @@ def draw_grid(columns: Sequence[str], rows: Sequence[Row]) -> np.ndarray:
     return np.asarray(canvas)
 
 
+def _evidence_names(spec: TableSpec) -> list[str]:
+    if any(split.startswith(MASKED) for split in spec.splits):
+        return ["truth", "mask"]
+    if set(spec.splits) <= set(RECORDED_SPLITS):
+        return ["recorded"]
+    return ["truth", "sparse reference", "validity"]
+
+
 def _thicken(picture: np.ndarray) -> np.ndarray:
     """Let single pixels survive when a picture is shrunk to a tile."""
     side = -(-picture.shape[1] // TILE_WIDTH)
@@ -149,4 +172,6 @@ def _pick(table: str, targets: list[Target], keeps: list[float]) -> list[tuple[T
         return [(target, keep) for target in middle[:1] for keep in keeps]
     if table == "interpolation":
         return [(target, keeps[0]) for target in middle[:1]]
-    return [(target, keeps[0]) for target in middle[:2]]
+    splits = dict.fromkeys(target.split for target in middle)
+    two_each = ([t for t in middle if t.split == split][:2] for split in splits)
+    return [(target, keeps[0]) for target in itertools.chain.from_iterable(two_each)]

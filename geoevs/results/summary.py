@@ -1,6 +1,7 @@
-"""Means of score rows with bootstrap intervals over frames within scenes."""
+"""Means of score rows, and paired differences, with bootstrap intervals."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -65,3 +66,72 @@ def summarise(
         summary = {"mean": mean, "low": low, "high": high, "n": len(valid), "failed": failed}
         summaries.append({**dict(zip(by, key, strict=True)), **summary})
     return pd.DataFrame(summaries, columns=[*by, "mean", "low", "high", "n", "failed"])
+
+
+PAIR = ["scene", "frame", "target", "seed"]
+"""What two score rows must share to be a pair."""
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """The mean difference of two entrants, the ends of its interval, and the number of pairs."""
+
+    mean: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    pairs: int = 0
+
+
+def paired_difference(
+    rows: pd.DataFrame, others: pd.DataFrame, resamples: int, confidence: float
+) -> PairedDifference:
+    """Mean of one entrant's values minus another's, over pairs (see PAIR).
+
+    The percentile interval redraws frames within scenes and, independently, training seeds: a seed
+    is one trained model, so it is redrawn for all frames at once. Targets of a frame are averaged
+    first. Pairs without a finite difference do not count.
+
+    Args:
+        rows: score rows of one entrant, of one data set, split and metric.
+        others: the same of the other entrant.
+        resamples: of the bootstrap.
+        confidence: of the interval, such as 0.95.
+
+    Returns:
+        NaN where there is no pair, and NaN ends where nothing can be redrawn: one seed, and one
+        frame in every scene.
+    """
+    pairs = rows.merge(others, on=PAIR, suffixes=("", "_other"))
+    pairs = pairs.assign(difference=pairs["value"] - pairs["value_other"])
+    pairs = pairs[np.isfinite(pairs["difference"])]
+    if pairs.empty:
+        return PairedDifference()
+    cells = pairs.pivot_table("difference", "seed", ["scene", "frame"])
+    scenes = cells.columns.get_level_values("scene").to_numpy(object)
+    table, present = cells.fillna(0.0).to_numpy(), cells.notna().to_numpy(np.float64)
+    mean = float(table.sum() / present.sum())
+    if len(table) == 1 and len(set(scenes)) == len(scenes):
+        return PairedDifference(mean, pairs=len(pairs))
+    rng = np.random.default_rng(0)
+    seeds = _redraw(np.zeros(len(table)), resamples, rng)
+    frames = _redraw(scenes, resamples, rng)
+    # Where seeds lack frames, a resample may hold no pair at all: 0 / 0, which does not count.
+    with np.errstate(invalid="ignore"):
+        means = (seeds @ table * frames).sum(axis=1) / (seeds @ present * frames).sum(axis=1)
+    tail = (1 - confidence) / 2
+    low, high = np.nanquantile(means, [tail, 1 - tail], method="inverted_cdf")
+    return PairedDifference(mean, float(low), float(high), len(pairs))
+
+
+def _redraw(
+    groups: np.ndarray,  # [N] which group each item belongs to
+    resamples: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """(resamples, N) how often each item is drawn, with replacement within its group."""
+    counts = np.zeros((resamples, len(groups)))
+    for group in pd.unique(groups):
+        members = np.flatnonzero(groups == group)
+        chances = np.full(len(members), 1 / len(members))
+        counts[:, members] = rng.multinomial(len(members), chances, size=resamples)
+    return counts

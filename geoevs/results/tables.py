@@ -31,15 +31,15 @@ class TableSpec:
 
     Args:
         title: its heading.
-        split: the split whose rows it averages.
+        splits: the splits whose rows it averages.
         metrics: measured columns, the paper's first.
         paper_only: columns of the paper that need weights this suite does not ship.
-        bins: the row column that splits it, or none.
-        edges: the config key, under `tables`, of the bins' edges.
+        bins: the row column that divides it, or none.
+        edges: the config key, under `tables`, of the bins' edges; none where each split is a bin.
     """
 
     title: str
-    split: str
+    splits: tuple[str, ...]
     metrics: tuple[str, ...]
     paper_only: tuple[str, ...] = ()
     bins: str = ""
@@ -49,37 +49,46 @@ class TableSpec:
 TABLES = {
     "extrapolation": TableSpec(
         "Extrapolation: half-way yaw, shifted sideways (paper table 2, top)",
-        "extrapolation",
+        ("extrapolation",),
         (
             *("sparse_psnr", "sparse_ssim", "sparse_psnr_new", "sparse_psnr_footprint"),
-            *("psnr", "psnr_new", "ssim"),
+            *("psnr", "psnr_new", "psnr_supported", "ssim"),
         ),
     ),
     "interpolation": TableSpec(
         "Interpolation: the front camera from the front-side ones (paper table 5)",
-        "interpolation",
+        ("interpolation",),
         ("ssim", "psnr", "mae"),
         paper_only=("lpips",),
     ),
     "observed": TableSpec(
         "Observed views, themselves among the sources (paper table 1)",
-        "observed",
+        ("observed",),
         ("psnr", "ssim", "mae"),
         paper_only=("fid",),
     ),
     "pose_offset": TableSpec(
         "By angle to the front camera, in degrees (paper table 2, bottom left)",
-        "pose-sweep",
+        ("pose-sweep",),
         ("sparse_psnr", "sparse_ssim", "psnr"),
         bins="pose_offset",
         edges="pose_bins",
     ),
     "sparsity": TableSpec(
         "By support ratio of the sparse reference (paper table 2, bottom right)",
-        "extrapolation",
+        ("extrapolation",),
         ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill"),
         bins="support_ratio",
         edges="support_bins",
+    ),
+    "masked": TableSpec(
+        "Masked views: conditions degraded by validity masks of other poses (paper section 3.4)",
+        ("masked-observed", "masked-extrapolation"),
+        (
+            *("psnr_supported", "psnr_removed", "psnr_never", "psnr_unsupported", "psnr"),
+            "sparse_psnr_removed",
+        ),
+        bins="split",
     ),
 }
 
@@ -95,8 +104,9 @@ def make_table(name: str, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.
     Returns:
         Columns `dataset`, `group` (paper, method or control), `method`, `variant`, `bin` for
         breakdowns, `<metric>_paper` where the paper has it, `<metric>`, `<metric>_low` and
-        `<metric>_high` for every metric, `n` and `failed` (views with a value of the first metric,
-        and views without a render), `below_floor` (metrics that the floor beats) and `note`.
+        `<metric>_high` for every metric, `n` and `failed` (views with a value of the first metric
+        that is defined there, and views without a render), `below_floor` (metrics that the floor
+        beats) and `note`.
 
     Raises:
         GeoEvsError: there is no such table, or the rows come from different protocols.
@@ -106,7 +116,7 @@ def make_table(name: str, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.
     rows = _table_rows(spec, scores, settings)
     by = ["dataset", "method", "variant", "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
-    bins = bin_labels(settings[spec.edges]) if spec.bins else [""]
+    bins = _bins(spec, settings)
     ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
@@ -140,10 +150,21 @@ def bin_labels(edges: Sequence[float]) -> list[str]:
     return [f"{low:g}-{high:g}" for low, high in itertools.pairwise(edges)]
 
 
+def _bins(spec: TableSpec, settings: dict[str, Any]) -> Sequence[str]:
+    if not spec.bins:
+        return [""]
+    return bin_labels(settings[spec.edges]) if spec.edges else spec.splits
+
+
 def display_name(method: str, variant: str) -> str:
     """How tables write an entrant."""
     name = _paper()["names"].get(method, method)
     return name if variant == "default" else f"{name} ({variant})"
+
+
+def paper_values(table: str) -> dict[str, Any]:
+    """What the paper prints in a table, by its rows."""
+    return _paper()["tables"][table]
 
 
 @cache
@@ -154,13 +175,13 @@ def _paper() -> dict[str, Any]:
 
 
 def _table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
-    rows = scores[(scores["split"] == spec.split) & scores["metric"].isin(spec.metrics)]
+    rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
     wanted = (rows["stressor"] == "") | (
         (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
     )
     rows = rows[wanted]
-    if not spec.bins:
-        return rows.assign(bin="")
+    if not spec.edges:
+        return rows.assign(bin=rows[spec.bins] if spec.bins else "")
     edges = settings[spec.edges]
     closed = [*edges[:-1], math.nextafter(edges[-1], math.inf)]  # the last bin holds its end
     cut = pd.cut(rows[spec.bins], closed, right=False, labels=bin_labels(edges))
@@ -170,7 +191,7 @@ def _table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any])
 def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
     """Methods of the paper's table first, then ours, then controls; each in the rows' order."""
     run = list(scores[["method", "variant"]].drop_duplicates().itertuples(index=False, name=None))
-    paper = [(method, "default") for method in _paper()["tables"][name]]
+    paper = [(method, "default") for method in paper_values(name)]
     listed = paper + [entrant for entrant in run if entrant not in paper]
     order = {"paper": 0, "method": 1, "control": 2}
     return sorted(listed, key=lambda entrant: order[_group(name, entrant[0])])
@@ -184,7 +205,7 @@ def is_control(method: str) -> bool:
 def _group(name: str, method: str) -> str:
     if is_control(method):
         return "control"
-    return "paper" if method in _paper()["tables"][name] else "method"
+    return "paper" if method in paper_values(name) else "method"
 
 
 def _table_row(
@@ -200,7 +221,7 @@ def _table_row(
     mine = here[(here["method"] == method) & (here["variant"] == variant)].set_index("metric")
     is_floor = (here["method"] == FLOOR) & (here["variant"] == "default")
     floor = here[is_floor].set_index("metric")["mean"]
-    printed = _paper()["tables"][name].get(method, {}) if variant == "default" else {}
+    printed = paper_values(name).get(method, {}) if variant == "default" else {}
     printed = printed.get(label, {}) if spec.bins else printed
     row: dict[str, Any] = {
         "dataset": dataset,
@@ -215,16 +236,16 @@ def _table_row(
             row[f"{metric}_paper"] = printed.get(metric, math.nan)
         for column, suffix in (("mean", ""), ("low", "_low"), ("high", "_high")):
             row[metric + suffix] = mine[column].get(metric, math.nan)
-    first = mine.reindex(list(spec.metrics[:1]))
-    row["n"] = int(first["n"].fillna(0).iloc[0])
-    row["failed"] = int(first["failed"].fillna(0).iloc[0])
+    defined = [metric for metric in spec.metrics if metric in mine.index]
+    for count in ("n", "failed"):
+        row[count] = int(mine[count][defined[0]]) if defined else 0
     row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
     row["note"] = _note(row)
     return row
 
 
 def _flat_paper(name: str, spec: TableSpec) -> list[dict[str, float]]:
-    values = _paper()["tables"][name].values()
+    values = paper_values(name).values()
     return [cell for bins in values for cell in bins.values()] if spec.bins else list(values)
 
 

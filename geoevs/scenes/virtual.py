@@ -31,7 +31,8 @@ def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, na
     if angle > abs(gap):
         raise GeoEvsError(
             f"target '{name}' turns {angle} degrees but camera '{side.name}' is only "
-            f"{abs(gap):.1f} degrees from '{front.name}'; lower protocol.pose_sweep.angles"
+            f"{abs(gap):.1f} degrees from '{front.name}'; lower protocol.pose_sweep.angles or "
+            "protocol.masked.yaw"
         )
     fraction = angle / abs(gap)
     turn = np.radians(fraction * gap)

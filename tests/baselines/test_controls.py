@@ -112,6 +112,39 @@ def test_inpainting_fills_holes_and_nothing_else(scene):
     assert (filled.rgb[~seen].sum(axis=-1) > 0).all()
 
 
+def test_masks_hide_what_was_reprojected(scene):
+    camera = between(lateral=1.0)
+    keep = np.ones((HEIGHT, WIDTH), bool)
+    keep[10:20, 30:50] = False
+    method = fitted(scene, "reproject")
+    plain, masked = method.render(camera, 0), method.render_masked(camera, 0, keep)
+    np.testing.assert_array_equal(masked.support, plain.support & keep)
+    np.testing.assert_array_equal(masked.rgb[keep], plain.rgb[keep])
+    np.testing.assert_array_equal(masked.depth[keep], plain.depth[keep])
+    assert masked.rgb[~keep].max() == masked.depth[~keep].max() == 0
+
+
+def test_inpainting_never_reads_hidden_pixels(scene):
+    camera = between(lateral=1.0)
+    keep = np.ones((HEIGHT, WIDTH), bool)
+    keep[10:20, 30:50] = False
+    filled = fitted(scene, "reproject-inpaint").render_masked(camera, 0, keep)
+    seen = fitted(scene, "reproject").render_masked(camera, 0, keep)
+    np.testing.assert_array_equal(filled.support, seen.support)
+    np.testing.assert_array_equal(filled.rgb[seen.support], to_uint8(seen.rgb)[seen.support])
+    assert (filled.rgb[~keep].sum(axis=-1) > 0).all()
+    other = np.where(keep[..., None], seen.rgb, 0.9)  # what was there before would not matter
+    np.testing.assert_array_equal(filled.rgb, fill_holes(other, seen.support, "telea"))
+
+
+@pytest.mark.parametrize("name", ["mean-colour", "nearest-view"])
+def test_controls_without_a_condition_map_ignore_masks(scene, name):
+    method, nothing = fitted(scene, name), np.zeros((HEIGHT, WIDTH), bool)
+    plain, masked = method.render(between(), 0), method.render_masked(between(), 0, nothing)
+    np.testing.assert_array_equal(masked.rgb, plain.rgb)
+    np.testing.assert_array_equal(masked.support, plain.support)
+
+
 @pytest.mark.parametrize("inpaint", ["telea", "navier-stokes", "fsr-fast", "fsr-best"])
 def test_every_inpainting_continues_a_flat_colour(inpaint):
     image = np.full((20, 20, 3), [0.2, 0.4, 0.6], np.float32)

@@ -4,12 +4,18 @@ import os
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
-import numpy as np
 import pytest
 
 import baselines
-from geoevs.protocol.reference import make_references, write_references
+from geoevs.adapter import Budget
+from geoevs.io import read_json
+from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.masks import RawReprojection, make_masks
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import make_references
+from geoevs.protocol.runs import fit_method, render_method
 from geoevs.protocol.scoring import Evidence
 from geoevs.protocol.targets import Target, make_targets, write_targets
 from geoevs.protocol.truth import write_truth
@@ -17,7 +23,11 @@ from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.store import Scene
 from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
-PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0], "every": 2}}
+PROTOCOL = {
+    "lateral": [-1.0, 1.0],
+    "pose_sweep": {"angles": [10.0], "every": 2},
+    "masked": {"yaw": [15.0, 20.0], "lateral": [-2.0, 2.0], "every": 2},
+}
 
 TEMPLATE = """
 import os, signal
@@ -73,17 +83,36 @@ def toy(tmp_path_factory, monkeypatch):
     return make
 
 
+@pytest.fixture
+def attempt(stage, tmp_path):
+    """Fits and renders a method on one split's targets of frame 0; gives both outcomes."""
+
+    def run(method: str, *splits: str, evidence=None):
+        targets = stage.keep(tmp_path / "targets.json", *(splits or ("extrapolation",)))
+        entry, scene, log = MethodEntry(method), stage.folder / "scene", tmp_path / "fit.log"
+        fit_method(entry, scene, targets, Budget(threads=1), tmp_path / "model", log)
+        seen = (targets, stage.evidence.masks, evidence or {})
+        folders = (tmp_path / "renders", tmp_path / "render.log")
+        render_method(entry, tmp_path / "model", *seen, *folders)
+        names = ("model/fit.json", "renders/render.json")
+        return tuple(read_json(tmp_path / name) for name in names)
+
+    return run
+
+
 @dataclass(frozen=True)
 class Stage:
-    """The tiny scene with targets, references and truth on disk."""
+    """The tiny scene with targets, references, truth and masks on disk."""
 
     folder: Path
     store: Scene
     targets: list[Target]
 
+    protocol: ClassVar[dict] = PROTOCOL
+
     @property
     def evidence(self) -> Evidence:
-        names = ("scene", "targets.json", "references.npz", "truth")
+        names = ("scene", "targets.json", "references.npz", "truth", "masks.npz")
         return Evidence(*(self.folder / name for name in names))
 
     def keep(self, path: Path, *splits: str) -> Path:
@@ -96,10 +125,11 @@ class Stage:
 def stage(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stage")
     store = write_tiny_scene(folder / "scene")
-    targets = make_targets(store, PROTOCOL)
+    targets = make_targets(store, PROTOCOL, seed=0)
     write_targets(folder / "targets.json", targets)
-    references = make_references(store, targets, np.random.default_rng(0))
-    write_references(folder / "references.npz", references)
+    reprojection = RawReprojection(store)
+    write_records(folder / "references.npz", make_references(store, targets, reprojection, seed=0))
+    write_records(folder / "masks.npz", make_masks(targets, reprojection))
     write_truth(folder / "truth", TinySource(), SceneRef("tiny"), targets, lambda: None)
     return Stage(folder, store, targets)
 

@@ -3,17 +3,18 @@ import pytest
 
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError
-from geoevs.protocol.reference import (
-    References,
-    make_references,
-    sparse_reference,
-    write_references,
-)
+from geoevs.protocol.masks import RawReprojection
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import References, make_references, sparse_reference
 from geoevs.protocol.targets import Target, make_targets
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.tiny import tiny_camera, tiny_truth, write_tiny_scene
 
-PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0], "every": 1}}
+PROTOCOL = {
+    "lateral": [-1.0, 1.0],
+    "pose_sweep": {"angles": [10.0], "every": 1},
+    "masked": {"yaw": [20.0], "lateral": [2.0], "every": 2},
+}
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_a_point_without_colour_hides_but_never_scores():
 
 
 def test_permuting_the_points_changes_nothing(scene):
-    camera = make_targets(scene, PROTOCOL)[5].camera
+    camera = make_targets(scene, PROTOCOL, seed=0)[5].camera
     points = scene.points(0)
     order = np.random.default_rng(0).permutation(len(points))
     before, after = (reference_of(cloud, camera) for cloud in (points, points.select(order)))
@@ -85,9 +86,11 @@ def test_scoring_points_never_condition(scene):
 
 
 def test_the_reference_agrees_with_truth(scene):
-    targets = make_targets(scene, PROTOCOL)
-    references = make_references(scene, targets, seed=0)
-    assert set(references) == {target.key for target in targets if not target.recorded}
+    targets = make_targets(scene, PROTOCOL, seed=0)
+    references = make_references(scene, targets, RawReprojection(scene), seed=0)
+    assert set(references) == {
+        target.key for target in targets if target.split in ("extrapolation", "pose-sweep")
+    }
     for target in targets:
         if target.split != "extrapolation":
             continue
@@ -98,20 +101,21 @@ def test_the_reference_agrees_with_truth(scene):
 
 
 def test_another_target_leaves_the_thinning_of_this_one_alone(scene):
-    targets = make_targets(scene, PROTOCOL)
+    targets = make_targets(scene, PROTOCOL, seed=0)
     (some, *_) = [target for target in targets if target.split == "pose-sweep"]
-    alone = make_references(scene, [some], seed=0)[some.key]
-    together = make_references(scene, targets, seed=0)[some.key]
+    reprojection = RawReprojection(scene)
+    alone = make_references(scene, [some], reprojection, seed=0)[some.key]
+    together = make_references(scene, targets, RawReprojection(scene), seed=0)[some.key]
     np.testing.assert_array_equal(alone.mask(0.5), together.mask(0.5))
     assert not np.array_equal(
-        alone.mask(0.5), make_references(scene, [some], seed=1)[some.key].mask(0.5)
+        alone.mask(0.5), make_references(scene, [some], reprojection, seed=1)[some.key].mask(0.5)
     )
 
 
 def test_references_survive_a_round_trip(scene, tmp_path):
-    targets = make_targets(scene, PROTOCOL)
-    references = make_references(scene, targets, seed=0)
-    write_references(tmp_path / "references.npz", references)
+    targets = make_targets(scene, PROTOCOL, seed=0)
+    references = make_references(scene, targets, RawReprojection(scene), seed=0)
+    write_records(tmp_path / "references.npz", references)
     read = References(tmp_path / "references.npz")
     for key, reference in references.items():
         np.testing.assert_array_equal(read[key].image(), reference.image())

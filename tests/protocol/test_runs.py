@@ -4,28 +4,12 @@ from hypothesis import strategies as st
 
 from geoevs.adapter import Budget
 from geoevs.errors import GeoEvsError
-from geoevs.io import read_image, read_json, write_json
+from geoevs.io import read_image, write_json
 from geoevs.protocol.entries import MethodEntry, read_outcomes
 from geoevs.protocol.render_step import render_step
 from geoevs.protocol.runs import fit_method, render_method
 
 BUDGET = Budget(seconds=None, threads=1)
-
-
-@pytest.fixture
-def attempt(stage, tmp_path):
-    """Fits and renders a method on one split's targets of frame 0; gives both outcomes."""
-
-    def run(method: str, *splits: str, evidence=None):
-        targets = stage.keep(tmp_path / "targets.json", *(splits or ("extrapolation",)))
-        entry, scene, log = MethodEntry(method), stage.folder / "scene", tmp_path / "fit.log"
-        fit_method(entry, scene, targets, BUDGET, tmp_path / "model", log)
-        folders = (tmp_path / "model", targets, evidence or {}, tmp_path / "renders")
-        render_method(entry, *folders, tmp_path / "render.log")
-        names = ("model/fit.json", "renders/render.json")
-        return tuple(read_json(tmp_path / name) for name in names)
-
-    return run
 
 
 def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
@@ -117,8 +101,9 @@ def test_pictures_that_are_none_are_refused(toy, stage, tmp_path, kind):
     line, sentence = PICTURES[kind]
     targets = stage.keep(tmp_path / "targets.json", "interpolation")
     name = toy(f"picture_{kind.replace(' ', '_')}", render=line).replace("_", "-")
+    masks = str(stage.evidence.masks)
     with pytest.raises(GeoEvsError) as caught:
-        render_step(name, str(targets), "front-side", str(tmp_path), {}, str(tmp_path))
+        render_step(name, str(targets), "front-side", str(tmp_path), masks, {}, str(tmp_path))
     key = "interpolation-front/000000"
     assert str(caught.value).startswith(f"target {key} was rendered ")
     assert str(caught.value).endswith(sentence)
@@ -132,6 +117,7 @@ def test_a_fit_of_the_wrong_shape_is_one_sentence(stage, tmp_path, text):
             MethodEntry("mean-colour"),
             tmp_path,
             stage.evidence.targets,
+            stage.evidence.masks,
             {},
             tmp_path / "renders",
             tmp_path / "log",

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -11,9 +12,15 @@ from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.render_step import render_step
 from geoevs.protocol.rows import SCORE_TYPES, cost_frame, score_frame
-from geoevs.protocol.scoring import THINNED_METRICS, Evidence, cost_rows, regions, score_method
+from geoevs.protocol.scoring import (
+    THINNED_METRICS,
+    cost_rows,
+    regions,
+    score_method,
+)
 from geoevs.protocol.targets import read_targets
 
+MASKED_ALONE = {"psnr_removed", "psnr_never", "psnr_unsupported", "sparse_psnr_removed"}
 COMMON = {"dataset": "d", "scene": "s", "fingerprint": "f"}
 OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 2}
 OK |= {"peak_memory": 9, "gpu_memory": 0}
@@ -45,6 +52,7 @@ def test_regions_by_hand():
         "reference-footprint": [1, 1, 0, 0, 0],
         "dense": [1, 1, 1, 1, 1],
         "dense-new": [1, 0, 1, 1, 0],
+        "dense-supported": [0, 1, 0, 0, 1],
     }
     assert {answer.support_ratio for answer in found.values()} == {0.6}
     assert set(regions(sparse, None, 1.0)) == {"reference", "reference-new", "reference-footprint"}
@@ -65,8 +73,8 @@ def renders(stage, tmp_path_factory):
         outcome = FAILED if name == "failed" else OK
         write_json(folder / name / "render.json", {"all-cameras": outcome, "front-side": OK})
     for sources in ("all-cameras", "front-side"):
-        arguments = (str(evidence.targets), sources, "", paths, str(folder / "reference"))
-        render_step(REFERENCE, *arguments)
+        places = (str(evidence.masks), paths, str(folder / "reference"))
+        render_step(REFERENCE, str(evidence.targets), sources, "", *places)
     grey = np.full((48, 72, 3), 115, np.uint8)
     for target in stage.targets:
         for name in ("grey", "failed"):
@@ -87,8 +95,10 @@ def test_every_target_has_every_metric_that_it_can(stage, renders):
     main = rows[rows["stressor"] == ""]
     dense = {"psnr", "ssim", "mae"}
     for target in stage.targets:
+        if target.masked:
+            continue
         mine = main[(main["target"] == target.camera.name) & (main["frame"] == target.frame)]
-        expected = dense if target.recorded else set(METRICS)
+        expected = dense if target.recorded else set(METRICS) - MASKED_ALONE
         assert len(mine) == len(expected)
         assert set(mine["metric"]) == expected
         assert (mine["split"] == target.split).all()
@@ -149,17 +159,18 @@ def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
 
     monkeypatch.setattr("geoevs.protocol.scoring.References", NoPoints)
     rows = scored(stage, renders, "grey")
+    rows = rows[~rows["split"].str.startswith("masked")]
     sparse = rows["metric"].str.startswith("sparse")
     assert (rows[sparse]["status"] == "empty-mask").all()
     assert rows[sparse]["value"].isna().all()
     assert (rows[sparse][["valid_pixels", "support_ratio"]] == 0).all(axis=None)
-    assert (rows[~sparse]["status"] == "ok").all()
+    supported = rows["metric"] == "psnr_supported"  # nor does raw reprojection support a pixel
+    assert (rows[supported]["status"] == "empty-mask").all()
+    assert (rows[~sparse & ~supported]["status"] == "ok").all()
 
 
 def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders, tmp_path):
-    evidence = Evidence(
-        stage.evidence.scene, stage.evidence.targets, stage.evidence.references, tmp_path
-    )
+    evidence = dataclasses.replace(stage.evidence, truth=tmp_path)
     rows = scored(stage, renders, "grey", evidence)
     virtual = rows[rows["split"].isin(["extrapolation", "pose-sweep"])]
     assert virtual["metric"].str.startswith("sparse").all()

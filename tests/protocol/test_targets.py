@@ -12,7 +12,11 @@ from geoevs.protocol.targets import (
 from geoevs.scenes.camera import angle_between
 from geoevs.scenes.tiny import write_tiny_scene
 
-PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [0.0, 10.0], "every": 2}}
+PROTOCOL = {
+    "lateral": [-1.0, 1.0],
+    "pose_sweep": {"angles": [0.0, 10.0], "every": 2},
+    "masked": {"yaw": [15.0, 20.0], "lateral": [-2.0, 2.0], "every": 2},
+}
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +25,12 @@ def scene(tmp_path_factory):
 
 
 def test_every_split_of_a_scene(scene):
-    targets = make_targets(scene, PROTOCOL)
+    targets = make_targets(scene, PROTOCOL, seed=0)
     count = {split: sum(t.split == split for t in targets) for split in {t.split for t in targets}}
-    # Two frames, three cameras; 2 sides x 2 shifts; 2 angles x 2 sides x 2 shifts in every 2nd.
-    assert count == {"observed": 6, "interpolation": 2, "extrapolation": 8, "pose-sweep": 8}
+    # Two frames, three cameras; 2 sides x 2 shifts; 2 angles x 2 sides x 2 shifts in every 2nd;
+    # masks on three cameras and 2 sides x 2 shifts of every 2nd.
+    plain = {"observed": 6, "interpolation": 2, "extrapolation": 8, "pose-sweep": 8}
+    assert count == {**plain, "masked-observed": 3, "masked-extrapolation": 4}
     assert len({target.key for target in targets}) == len(targets)
     for target in targets:
         front = scene.camera("front", target.frame)
@@ -37,7 +43,7 @@ def test_every_split_of_a_scene(scene):
 
 def test_interpolation_never_shows_the_front_camera(scene):
     assert source_cameras(scene, FRONT_SIDE) == ("left", "right")
-    (target, *_) = [t for t in make_targets(scene, PROTOCOL) if t.split == "interpolation"]
+    (target, *_) = [t for t in make_targets(scene, PROTOCOL, seed=0) if t.split == "interpolation"]
     assert target.sources == FRONT_SIDE
     front = scene.camera("front", target.frame)
     np.testing.assert_array_equal(target.camera.world_from_camera, front.world_from_camera)
@@ -49,7 +55,7 @@ def test_a_misspelt_set_of_sources_shows_no_camera(scene):
 
 
 def test_targets_survive_a_round_trip(scene, tmp_path):
-    targets = make_targets(scene, PROTOCOL)
+    targets = make_targets(scene, PROTOCOL, seed=0)
     write_targets(tmp_path / "targets.json", targets)
     for target, again in zip(targets, read_targets(tmp_path / "targets.json"), strict=True):
         assert again.key == target.key

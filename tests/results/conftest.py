@@ -8,13 +8,19 @@ import pytest
 
 from geoevs import layout
 from geoevs.io import write_image
-from geoevs.protocol.reference import make_references, write_references
+from geoevs.protocol.masks import RawReprojection, make_masks
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import make_references
 from geoevs.protocol.rows import SCORE_TYPES, score_frame
 from geoevs.protocol.targets import make_targets, write_targets
 from geoevs.scenes.tiny import write_tiny_scene
 
 PLACE = {"dataset": "d", "scene": "s"}
-PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0, 20.0], "every": 2}}
+PROTOCOL = {
+    "lateral": [-1.0, 1.0],
+    "pose_sweep": {"angles": [10.0, 20.0], "every": 2},
+    "masked": {"yaw": [15.0, 20.0], "lateral": [-2.0, 2.0], "every": 2},
+}
 
 
 @pytest.fixture
@@ -39,10 +45,12 @@ def run(tmp_path_factory):
     """A run with the tiny scene and grey renders of `grey`; without truth."""
     folder = tmp_path_factory.mktemp("run")
     store = write_tiny_scene(folder / layout.SCENE.format(**PLACE))
-    targets = make_targets(store, PROTOCOL)
+    targets = make_targets(store, PROTOCOL, seed=0)
     write_targets(folder / layout.TARGETS.format(**PLACE), targets)
-    references = make_references(store, targets, np.random.default_rng(0))
-    write_references(folder / layout.REFERENCES.format(**PLACE), references)
+    reprojection = RawReprojection(store)
+    references = make_references(store, targets, reprojection, seed=0)
+    write_records(folder / layout.REFERENCES.format(**PLACE), references)
+    write_records(folder / layout.MASKS.format(**PLACE), make_masks(targets, reprojection))
     renders = folder / layout.RENDERS.format(label="grey", **PLACE)
     for target in targets:
         write_image(renders / f"{target.key}.png", np.full((48, 72, 3), 99, np.uint8))

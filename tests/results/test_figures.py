@@ -7,6 +7,7 @@ from PIL import Image
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
+from geoevs.protocol.masks import ConditionMask
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.results.figures import (
@@ -14,12 +15,14 @@ from geoevs.results.figures import (
     HEADER,
     MARGIN,
     NEW,
+    REMOVED,
     SUPPORTED,
     TILE_WIDTH,
     UNSUPPORTED,
     VALID,
     Row,
     draw_grid,
+    mask_picture,
     table_grid,
     validity_picture,
 )
@@ -87,6 +90,24 @@ def test_colours_of_validity_by_hand():
     assert [tuple(pixel) for pixel in validity_picture(reference, 0.2)[0]] == thinned
 
 
+def test_colours_of_a_mask_by_hand():
+    mask = ConditionMask(
+        keep=np.array([[True, True, False, False]]),
+        reprojected=np.array([[True, False, True, False]]),
+    )
+    expected = [SUPPORTED, UNSUPPORTED, REMOVED, UNSUPPORTED]
+    assert [tuple(pixel) for pixel in mask_picture(mask)[0]] == expected
+
+
+def test_the_masked_grid_shows_truth_and_masks(run):
+    grid = drawn("masked", run)
+    for line in range(4):
+        assert share(tile(grid, line, 1), SUPPORTED, REMOVED, UNSUPPORTED) == 1
+        assert share(tile(grid, line, 1), REMOVED) > 0.01
+        known = (tile(grid, line, 0)[40:] != BACKGROUND).any()
+        assert known == (line < 2)  # the run has no truth of virtual views
+
+
 def share(picture, *colours):
     """The share of pixels that have one of the colours."""
     return sum((picture == colour).all(axis=-1).mean() for colour in colours)
@@ -96,7 +117,8 @@ def drawn(table, run, keeps=KEEPS, labels=("grey",), scenes=(("d", "s"),)):
     return np.asarray(Image.open(io.BytesIO(table_grid(table, run, scenes, labels, keeps))))
 
 
-# Rows: one target; two targets; one a share; the angles to the left; two targets. Columns: what
+# Rows: one target; two targets; one a share; the angles to the left; two targets;
+# two of each split. Columns: what
 # scores them (the run has no truth), and the renders.
 @pytest.mark.parametrize(
     ("table", "lines", "columns"),
@@ -106,6 +128,7 @@ def drawn(table, run, keeps=KEEPS, labels=("grey",), scenes=(("d", "s"),)):
         ("sparsity", 3, 3),
         ("pose_offset", 2, 3),
         ("extrapolation", 2, 3),
+        ("masked", 4, 3),
     ],
 )
 def test_every_table_has_its_grid(run, table, lines, columns):

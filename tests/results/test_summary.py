@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geoevs.results.summary import bootstrap_mean, summarise
+from geoevs.results.summary import bootstrap_mean, paired_difference, summarise
 
 
 def interval(values, scenes, confidence=0.95, resamples=2000):
@@ -95,3 +95,110 @@ def test_no_rows_give_the_columns():
     empty = summarise(frame(), ["metric"], 100, 0.95)
     assert list(empty.columns) == ["metric", "mean", "low", "high", "n", "failed"]
     assert len(empty) == 0
+
+
+def entrant(*rows) -> pd.DataFrame:
+    """Rows of scene, frame, target, seed and value."""
+    return pd.DataFrame(rows, columns=["scene", "frame", "target", "seed", "value"])
+
+
+def grid(values) -> pd.DataFrame:
+    """One scene; a line of values for each seed, a value for each frame."""
+    return entrant(
+        *[
+            ("a", frame, "t", seed, value)
+            for seed, line in enumerate(values)
+            for frame, value in enumerate(line)
+        ]
+    )
+
+
+def zeros(rows) -> pd.DataFrame:
+    return rows.assign(value=0.0)
+
+
+def difference(rows, others, confidence=0.95, resamples=2000):
+    found = paired_difference(rows, others, resamples, confidence)
+    return found.mean, found.low, found.high
+
+
+@pytest.mark.parametrize("values", [[[0.0, 1.0]], [[0.0], [1.0]]], ids=["frames", "seeds"])
+def test_two_frames_or_two_seeds_by_hand(values):
+    # Redrawn means are 0, 1/2 and 1 with chances 1/4, 1/2 and 1/4.
+    rows = grid(values)
+    assert difference(rows, zeros(rows), 0.95) == (0.5, 0.0, 1.0)
+    assert difference(rows, zeros(rows), 0.45) == (0.5, 0.5, 0.5)
+    assert difference(rows, zeros(rows), 0.55) == (0.5, 0.0, 1.0)
+
+
+def test_a_seed_counts_once_however_many_frames_it_has():
+    # Both seeds in all draws of frames: only the seeds vary, by as much as with one frame.
+    rows = grid([[-1.0] * 8, [1.0] * 8])
+    assert difference(rows, zeros(rows)) == (0.0, -1.0, 1.0)
+    # But what all seeds share in a frame varies with the frames alone.
+    rows = grid([[-1.0, 1.0]] * 8)
+    assert difference(rows, zeros(rows)) == (0.0, -1.0, 1.0)
+    assert difference(rows, zeros(rows), 0.45) == (0.0, 0.0, 0.0)
+
+
+def test_seeds_and_frames_vary_independently():
+    # Each of four cells counts 4, 2, 1 or 0 times; the mean is 4 only if one seed and one frame,
+    # those of the last cell, are drawn twice: a chance of 1/16.
+    rows = grid([[0.0, 0.0], [0.0, 4.0]])
+    assert difference(rows, zeros(rows), 1 - 2 * 0.05) == (1.0, 0.0, 4.0)
+    assert difference(rows, zeros(rows), 1 - 2 * 0.08)[2] == 2.0
+
+
+def test_targets_of_a_frame_are_averaged():
+    rows = entrant(("a", 0, "t", 0, 1.0), ("a", 0, "u", 0, 3.0), ("a", 1, "t", 0, 8.0))
+    assert difference(rows, zeros(rows)) == (5.0, 2.0, 8.0)
+
+
+def test_pairs_share_scene_frame_target_and_seed():
+    rows = entrant(("a", 0, "t", 0, 1.0), ("a", 1, "t", 0, 5.0))
+    shuffled = entrant(("a", 1, "t", 0, 3.0), ("a", 0, "t", 0, 0.0))
+    assert difference(rows, shuffled)[0] == 1.5
+    for stranger in (("b", 0, "t", 0), ("a", 2, "t", 0), ("a", 0, "u", 0), ("a", 0, "t", 1)):
+        found = paired_difference(rows, entrant((*stranger, 9.0)), 100, 0.95)
+        assert found.pairs == 0
+        assert math.isnan(found.mean)
+        both = pd.concat([shuffled, entrant((*stranger, 9.0))])
+        assert difference(rows, both)[0] == 1.5
+
+
+def test_values_that_are_no_number_make_no_pair():
+    rows = grid([[1.0, math.inf, math.nan]])
+    found = paired_difference(rows, zeros(rows), 100, 0.95)
+    assert (found.mean, found.pairs) == (1.0, 1)
+    assert math.isnan(found.low)
+    assert paired_difference(rows[1:], zeros(rows), 100, 0.95).pairs == 0
+
+
+def test_one_frame_a_scene_and_one_seed_give_no_interval():
+    rows = entrant(("a", 0, "t", 0, 1.0), ("b", 0, "t", 0, 3.0))
+    mean, low, high = difference(rows, zeros(rows))
+    assert mean == 2.0
+    assert math.isnan(low)
+    assert math.isnan(high)
+
+
+def test_a_seed_that_lacks_frames_still_counts():
+    rows = entrant(("a", 0, "t", 0, 1.0), ("a", 1, "t", 0, 1.0), ("a", 1, "t", 1, 4.0))
+    mean, low, high = difference(rows, zeros(rows))
+    assert mean == 2.0  # three cells
+    assert (low, high) == (1.0, 4.0)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.lists(st.lists(st.floats(-50, 50), min_size=3, max_size=3), min_size=1, max_size=3),
+    st.floats(-20, 20),
+)
+def test_what_all_pairs_share_shifts_the_interval(values, shift):
+    rows = grid(values)
+    before = difference(rows, zeros(rows), resamples=100)
+    after = difference(rows, rows.assign(value=-shift), resamples=100)
+    assert after == pytest.approx([end + shift for end in before], abs=1e-6)
+    assert before[1] <= before[2]
+    reverse = difference(zeros(rows), rows, resamples=100)
+    assert reverse[0] == pytest.approx(-before[0], abs=1e-9)

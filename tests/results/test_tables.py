@@ -126,6 +126,27 @@ def test_thinned_rows_fill_the_sparsity_table_alone(table):
     assert mine.to_dict() == {"0-0.02": 30.0, "0.02-0.1": 20.0}
 
 
+def test_the_masked_table_has_both_splits(table):
+    observed, virtual = "masked-observed", "masked-extrapolation"
+    made = table(
+        "masked",
+        {"split": observed, "metric": "psnr_removed", "value": 10.0},
+        {"split": virtual, "metric": "psnr_removed", "value": 20.0},
+        {"split": virtual, "metric": "sparse_psnr_removed", "value": 30.0},
+        {"split": "extrapolation", "metric": "psnr_supported", "value": 90.0},
+        {"method": "late", "split": "observed", "metric": "psnr"},
+    )
+    mine = made[made["method"] == "mine"].set_index("bin")
+    assert mine.index.tolist() == [observed, virtual]
+    assert mine["psnr_removed"].tolist() == [10.0, 20.0]
+    assert mine.loc[virtual, "sparse_psnr_removed"] == 30.0
+    assert mine["psnr_supported"].isna().all()
+    assert mine["n"].tolist() == [1, 1]  # of the first metric that is defined there
+    late = made[made["method"] == "late"]
+    assert late["note"].tolist() == ["no view here"] * 2
+    assert set(made["method"]) == {"mine", "late"}  # the paper has none
+
+
 def test_failures_are_noted(table):
     failed = {"status": "failed", "value": math.nan}
     other = {"method": "b", **failed}

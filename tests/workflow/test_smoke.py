@@ -13,7 +13,10 @@ from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
 # Everything but timings, which no two runs share.
-STABLE = ("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references")
+STABLE = (
+    *("scores.parquet", "tables", "figures", "renders"),
+    *("scenes", "truth", "references", "masks"),
+)
 UNSTABLE = {"costs.csv", "costs.md", "render.json"}
 
 
@@ -35,6 +38,9 @@ def test_the_whole_dag_runs(smoke_run):
         for suffix in (".csv", ".md", ".tex"):
             assert (results / f"tables/{table}{suffix}").stat().st_size > 100
         assert read_image(results / f"figures/{table}.png").std() > 10
+    for suffix in (".csv", ".md", ".tex"):
+        ablation = (results / f"tables/ablation{suffix}").read_text()
+        assert "o variant of geo-evs was run" in ablation
     assert (results / "manifest.json").exists()
 
 
@@ -54,6 +60,24 @@ def test_truth_and_reference_agree_on_who_is_better(smoke_run):
     table = pd.read_csv(workspace.folder / "results/smoke/tables/extrapolation.csv")
     rows = table.set_index("method").loc[["mean-colour", "reproject", "reproject-inpaint"]]
     assert rows["sparse_psnr"].rank().tolist() == rows["psnr"].rank().tolist()
+
+
+def test_masked_views_tell_their_pixels_apart(smoke_run):
+    workspace, _ = smoke_run
+    table = pd.read_csv(workspace.folder / "results/smoke/tables/masked.csv")
+    for _, rows in table.groupby("bin"):
+        rows = rows.set_index("method")
+        black, filled = rows.loc["reproject"], rows.loc["reproject-inpaint"]
+        assert filled["psnr_supported"] == black["psnr_supported"]
+        for part in ("removed", "unsupported"):
+            assert filled[f"psnr_{part}"] > black[f"psnr_{part}"]
+    observed = table[table["bin"] == "masked-observed"]
+    assert observed["psnr_never"].isna().all()  # a view supports all of itself
+    extrapolated = table[table["bin"] == "masked-extrapolation"].set_index("method")
+    sparse = extrapolated["sparse_psnr_removed"]
+    assert sparse["reference"] > 50
+    assert sparse["reproject-inpaint"] > sparse["reproject"]
+    assert extrapolated["psnr_never"]["reproject-inpaint"] > extrapolated["psnr_never"]["reproject"]
 
 
 def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
@@ -87,7 +111,7 @@ def test_another_bootstrap_remakes_tables_alone(smoke_run):
     plan = workspace.snakemake(*workspace.SMOKE, *overlays, "-n", "--", "tables")
     text = plan.stdout + plan.stderr
     assert "rule table:" in text
-    for rule in ("scene", "fit", "render", "score", "truth", "references"):
+    for rule in ("scene", "fit", "render", "score", "truth", "references", "masks"):
         assert f"rule {rule}:" not in text
 
 

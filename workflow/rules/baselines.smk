@@ -29,6 +29,7 @@ rule render:
         unpack(evidence),
         model=in_run(layout.MODEL),
         targets=in_run(layout.TARGETS),
+        masks=in_run(layout.MASKS),
     output:
         directory(in_run(layout.RENDERS)),
     log:
@@ -43,5 +44,5 @@ rule render:
         code=method_code("render"),
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
-        " --targets {input.targets:q} {params.evidence} --method-log {log.method:q}"
-        " --out {output:q}"
+        " --targets {input.targets:q} --masks {input.masks:q} {params.evidence}"
+        " --method-log {log.method:q} --out {output:q}"

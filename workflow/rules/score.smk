@@ -7,6 +7,7 @@ rule score:
         targets=in_run(layout.TARGETS),
         references=in_run(layout.REFERENCES),
         truth=in_run(layout.TRUTH),
+        masks=in_run(layout.MASKS),
         renders=in_run(layout.RENDERS),
     output:
         scores=in_run(layout.SCORE_PART),
@@ -22,8 +23,8 @@ rule score:
     shell:
         "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
         " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
-        " --references {input.references:q} --truth {input.truth:q} --renders {input.renders:q}"
-        " --protocol {params.protocol:q} --out {output.scores:q}"
+        " --references {input.references:q} --truth {input.truth:q} --masks {input.masks:q}"
+        " --renders {input.renders:q} --protocol {params.protocol:q} --out {output.scores:q}"
         " --costs {output.costs:q}"
 
 

@@ -1,6 +1,9 @@
 # From rows to what people read.
 
 TABLE_FILES = [in_run(layout.TABLE) + suffix for suffix in (".csv", ".md", ".tex")]
+ABLATION_FILES = [
+    in_run(layout.ABLATION_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
+]
 COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
@@ -35,10 +38,27 @@ rule cost_table:
         "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
 
 
+rule ablation_table:
+    input:
+        scores=in_run(layout.SCORES),
+    output:
+        ABLATION_FILES,
+    log:
+        in_run("logs/ablation_table.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.ablation"),
+    shell:
+        "geoevs --log {log:q} ablation-table --scores {input.scores:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
+
+
 rule figure:
     input:
         every_result(layout.RENDERS),
         every_scene(layout.REFERENCES),
+        every_scene(layout.MASKS),
         every_scene(layout.TRUTH),
     output:
         in_run(layout.FIGURE),
@@ -68,5 +88,6 @@ rule tables:
     input:
         expand(TABLE_FILES, table=TABLES),
         expand(in_run(layout.FIGURE), table=TABLES),
+        ABLATION_FILES,
         COST_FILES,
         in_run(layout.MANIFEST),

@@ -1,4 +1,5 @@
-# The views to synthesise, and the sparse references that score them (paper sections 3.5, 4.3).
+# The views to synthesise, the sparse references that score them, and the masks that degrade their
+# conditions (paper sections 3.4, 3.5, 4.3).
 
 
 rule targets:
@@ -10,12 +11,16 @@ rule targets:
         in_run("logs/targets/{dataset}/{scene}.log"),
     params:
         protocol=json.dumps(
-            {key: config["protocol"][key] for key in ("lateral", "pose_sweep")}
+            {
+                key: config["protocol"][key]
+                for key in ("lateral", "pose_sweep", "masked")
+            }
         ),
+        seed=config["seed"],
         code=code_hash("geoevs.protocol.targets"),
     shell:
         "geoevs --log {log:q} targets --scene {input.scene:q} --protocol {params.protocol:q}"
-        " --out {output:q}"
+        " --seed {params.seed} --out {output:q}"
 
 
 rule references:
@@ -23,7 +28,8 @@ rule references:
         scene=in_run(layout.SCENE),
         targets=in_run(layout.TARGETS),
     output:
-        in_run(layout.REFERENCES),
+        references=in_run(layout.REFERENCES),
+        masks=in_run(layout.MASKS),
     log:
         in_run("logs/references/{dataset}/{scene}.log"),
     benchmark:
@@ -33,4 +39,4 @@ rule references:
         code=code_hash("geoevs.protocol.reference"),
     shell:
         "geoevs --log {log:q} references --scene {input.scene:q} --targets {input.targets:q}"
-        " --seed {params.seed} --out {output:q}"
+        " --seed {params.seed} --out {output.references:q} --masks {output.masks:q}"

@@ -34,6 +34,15 @@ class Method:
         rgb = np.broadcast_to(self.colour.astype(np.float32), (*shape, 3)).copy()
         return Rendering(rgb, support=np.zeros(shape, bool))
 
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """The same: no condition map is used, so that this is the floor of masked views too."""
+        return self.render(camera, frame)
+
     def save(self, folder: Path) -> None:
         """Write the colour."""
         write_json(folder / "colour.json", self.colour.tolist())

@@ -40,6 +40,15 @@ class Method:
         rgb = cv2.remap(image, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return Rendering(rgb, support=support)
 
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """The same: no condition map is used, so that masked views can be compared with it."""
+        return self.render(camera, frame)
+
     def save(self, folder: Path) -> None:
         """Write the source views as a scene store."""
         self.views.save(folder / "views")

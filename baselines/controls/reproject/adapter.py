@@ -37,6 +37,18 @@ class Method:
         image, mask, depth = rasterize(xyz, rgb, camera)
         return Rendering(image, depth, mask)
 
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """The degraded condition map itself: black outside `keep` as in holes."""
+        seen = self.render(camera, frame)
+        support = seen.support & keep
+        rgb = np.where(support[..., None], seen.rgb, 0)
+        return Rendering(rgb, np.where(support, seen.depth, 0), support)
+
     def save(self, folder: Path) -> None:
         """Write the source views as a scene store, and their depths."""
         self.views.save(folder / "views")

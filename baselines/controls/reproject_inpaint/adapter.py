@@ -53,8 +53,16 @@ class Method:
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Reproject and fill; depth and support stay those of the reprojection."""
-        seen = self._reprojection.render(camera, frame)
-        return replace(seen, rgb=fill_holes(seen.rgb, seen.support, self.inpaint))
+        return self._filled(self._reprojection.render(camera, frame))
+
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """Reproject, drop what lies outside `keep`, and fill."""
+        return self._filled(self._reprojection.render_masked(camera, frame, keep))
 
     def save(self, folder: Path) -> None:
         """Write the reprojection and the option."""
@@ -67,6 +75,9 @@ class Method:
         method = cls(**read_json(folder / "options.json"))
         method._reprojection = Reprojection.load(folder)
         return method
+
+    def _filled(self, seen: Rendering) -> Rendering:
+        return replace(seen, rgb=fill_holes(seen.rgb, seen.support, self.inpaint))
 
 
 def fill_holes(

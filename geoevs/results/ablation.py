@@ -1,0 +1,195 @@
+"""What the masks of training are worth: Geo-EVS against its variants (paper table 4)."""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from geoevs.protocol.entries import FAILED
+from geoevs.protocol.rows import check_fingerprints
+from geoevs.results.formats import latex_tabular, markdown_grid
+from geoevs.results.summary import PAIR, paired_difference, summarise
+from geoevs.results.tables import display_name, paper_values
+
+METHOD, FULL = "geo-evs", "default"
+"""The ablated method, and its variant that is the full model."""
+
+PARTS = ("psnr_supported", "psnr_removed", "psnr_never", "psnr_unsupported")
+MEASURES = (
+    ("extrapolation", "sparse_psnr"),
+    ("observed", "psnr"),
+    *(("masked-observed", metric) for metric in PARTS),
+    *(("masked-extrapolation", metric) for metric in (*PARTS, "sparse_psnr_removed")),
+)
+"""Split and metric of every column; the paper has the first alone. All are in dB."""
+
+TITLE = "Ablation: masks in training (paper table 4)"
+LEGEND = """First table: mean [bootstrap interval over frames within scenes], dB. Second table: the
+full model minus the variant, paired by scene, frame, target and training seed [bootstrap interval
+over frames within scenes and over seeds]; bold where the interval leaves out zero. `paper` =
+printed in the paper, measured there on Waymo. Masked views: `supported` pixels are left in the
+degraded condition, `removed` ones were hidden by the mask, `never` ones had no support before it,
+and `unsupported` are those two together. Empty = not run, or not measurable here.
+"""
+
+
+def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """A row for every data set and variant of Geo-EVS in the run, the full model last.
+
+    Args:
+        scores: score rows.
+        settings: the config's `tables` section.
+
+    Returns:
+        Columns `dataset`, `variant`, `seeds` (how many), and for every measure (see `column_name`)
+        its mean, `_low` and `_high`, and of the paired difference full model minus variant `_diff`,
+        `_diff_low` and `_diff_high`; `_paper` where the paper has it; `failed` views and `note`.
+        A data set without any variant has one row that says so.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    check_fingerprints(scores)
+    ours = scores[(scores["method"] == METHOD) & (scores["stressor"] == "")]
+    table = []
+    for dataset in scores["dataset"].unique():
+        rows = ours[ours["dataset"] == dataset]
+        variants = sorted(rows["variant"].unique(), key=lambda variant: variant == FULL)
+        table += [
+            {"dataset": dataset, **_row(rows, variant, settings)} for variant in variants or [""]
+        ]
+    return pd.DataFrame(table)
+
+
+def column_name(split: str, metric: str) -> str:
+    """A measure's column.
+
+    >>> column_name("masked-observed", "psnr_never")
+    'masked_observed_psnr_never'
+    """
+    return f"{split.replace('-', '_')}_{metric}"
+
+
+def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str, Any]:
+    mine, full = (rows[rows["variant"] == name] for name in (variant, FULL))
+    summary = summarise(mine, ["split", "metric"], **_bootstrap(settings))
+    summary = summary.set_index(["split", "metric"])
+    row: dict[str, Any] = {"variant": variant, "seeds": mine["seed"].nunique()}
+    pairs = 0
+    printed = paper_values("ablation").get(variant, {})
+    for split, metric in MEASURES:
+        name = column_name(split, metric)
+        if (split, metric) == MEASURES[0]:
+            row[f"{name}_paper"] = printed.get(metric, math.nan)
+        for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
+            row[name + suffix] = summary[column].get((split, metric), math.nan)
+        others = _of(mine, split, metric) if variant != FULL else mine[:0]
+        difference = paired_difference(_of(full, split, metric), others, **_bootstrap(settings))
+        row[f"{name}_diff"] = difference.mean
+        row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
+        pairs += difference.pairs
+    row["failed"] = len(mine[mine["status"] == FAILED].drop_duplicates(PAIR))
+    row["note"] = _note(variant, row["failed"], pairs)
+    return row
+
+
+def _bootstrap(settings: dict[str, Any]) -> dict[str, Any]:
+    return {name: settings[name] for name in ("resamples", "confidence")}
+
+
+def _of(rows: pd.DataFrame, split: str, metric: str) -> pd.DataFrame:
+    return rows[(rows["split"] == split) & (rows["metric"] == metric)]
+
+
+def _note(variant: str, failed: int, pairs: int) -> str:
+    if not variant:
+        return f"no variant of {METHOD} was run"
+    if failed:
+        return f"failed on {failed} views"
+    return "no pair with the full model" if variant != FULL and not pairs else ""
+
+
+def ablation_markdown(table: pd.DataFrame) -> str:
+    """Scores, then differences, one column a variant, for every data set."""
+    parts = [f"# {TITLE}\n"]
+    for dataset, rows in table.groupby("dataset", sort=False):
+        parts.append(f"## {dataset}\n")
+        if not rows["variant"].any():
+            parts.append(f"{rows['note'].iloc[0].capitalize()}.\n")
+        parts += [f"{markdown_grid(header, body)}\n" for header, body in _grids(rows)]
+    return "\n".join([*parts, LEGEND])
+
+
+def ablation_latex(table: pd.DataFrame) -> str:
+    """The same as booktabs tabulars, with a rule between splits."""
+    parts = [f"% {TITLE}"]
+    for dataset, rows in table.groupby("dataset", sort=False):
+        if not rows["variant"].any():
+            parts.append(f"% {dataset}: {rows['note'].iloc[0]}")
+        for header, body in _grids(rows):
+            groups = [line[0].split()[0] for line in body]
+            parts.append(f"% {dataset}\n{latex_tabular(header, body, groups)}")
+    return "\n\n".join(parts) + "\n"
+
+
+Grid = tuple[list[str], list[list[str]]]
+
+
+def _grids(rows: pd.DataFrame) -> Iterator[Grid]:
+    """Header and lines of the scores, and of the differences where there is anything to compare."""
+    variants = [row for row in rows.to_dict("records") if row["variant"]]
+    if not variants:
+        return
+    notes = ["note", *(row["note"] for row in variants)]
+    seeds = ["seeds", *(str(row["seeds"]) for row in variants)]
+    yield _grid("dB ↑", variants, _score, _paper_score, [seeds, notes])
+    others = [row for row in variants if row["variant"] != FULL]
+    if others and len(others) < len(variants):
+        yield _grid("full model minus, dB", others, _difference, _paper_difference, [])
+
+
+def _grid(
+    corner: str,
+    variants: list[dict[str, Any]],
+    cell: Callable[[dict[str, Any], str], str],
+    paper_cell: Callable[[dict[str, Any], str], str],
+    more: list[list[str]],
+) -> Grid:
+    header = [corner, *(display_name(METHOD, row["variant"]) for row in variants)]
+    body = []
+    for split, metric in MEASURES:
+        name = column_name(split, metric)
+        if f"{name}_paper" in variants[0]:
+            printed = (paper_cell(row, name) for row in variants)
+            body.append([f"{split} {metric} paper", *printed])
+        body.append([f"{split} {metric}", *(cell(row, name) for row in variants)])
+    return header, [*body, *(line for line in more if any(line[1:]))]
+
+
+def _score(row: dict[str, Any], name: str) -> str:
+    return _with_interval("{:.2f}", row[name], row[f"{name}_low"], row[f"{name}_high"])
+
+
+def _paper_score(row: dict[str, Any], name: str) -> str:
+    return _with_interval("{:.2f}", row[f"{name}_paper"], math.nan, math.nan)
+
+
+def _difference(row: dict[str, Any], name: str) -> str:
+    low, high = row[f"{name}_diff_low"], row[f"{name}_diff_high"]
+    text = _with_interval("{:+.2f}", row[f"{name}_diff"], low, high)
+    return f"**{text}**" if low > 0 or high < 0 else text
+
+
+def _paper_difference(row: dict[str, Any], name: str) -> str:
+    metric = MEASURES[0][1]
+    full = paper_values("ablation")[FULL][metric]
+    return _with_interval("{:+.2f}", full - row[f"{name}_paper"], math.nan, math.nan)
+
+
+def _with_interval(form: str, value: float, low: float, high: float) -> str:
+    if np.isnan(value):
+        return ""
+    text = form.format(value)
+    return text if np.isnan(low) else f"{text} [{form.format(low)}, {form.format(high)}]"
