@@ -17,7 +17,7 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (collect, table, cost_table, grid, manifest, failures):
+    for command in (collect, table, cost_table, geometry_table, grid, manifest, failures):
         app.command()(command)
 
 
@@ -63,6 +63,25 @@ def cost_table(
     made = make_cost_table(_rows(costs))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), cost_markdown(made))
+
+
+def geometry_table(
+    scores: Annotated[Path, typer.Option(help="The run's depth-scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+) -> None:
+    """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
+    from geoevs.io import write_text
+    from geoevs.results.geometry_table import (
+        geometry_latex,
+        geometry_markdown,
+        make_geometry_table,
+    )
+
+    made = make_geometry_table(_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), geometry_markdown(made))
+    write_text(out.with_suffix(".tex"), geometry_latex(made))
 
 
 def grid(

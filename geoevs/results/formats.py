@@ -35,20 +35,23 @@ def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
     parts = [f"% {spec.title}"]
     for dataset, rows in table.groupby("dataset", sort=False):
         header, body = _grid(spec, rows)
-        lines = [
-            f"% {dataset}",
-            r"\begin{tabular}{l" + "c" * (len(header) - 1) + "}",
-            r"\toprule",
-            _latex_line(header),
-            r"\midrule",
-        ]
-        groups = rows["group"].tolist()
-        for position, line in enumerate(body):
-            if position and groups[position] != groups[position - 1]:
-                lines.append(r"\midrule")
-            lines.append(_latex_line(line))
-        parts.append("\n".join([*lines, r"\bottomrule", r"\end{tabular}"]))
+        parts.append(f"% {dataset}\n{latex_grid(header, body, rows['group'].tolist())}")
     return "\n\n".join(parts) + "\n"
+
+
+def latex_grid(header: Sequence[str], body: Sequence[Sequence[str]], groups: Sequence[str]) -> str:
+    """Cells as a booktabs tabular, with a rule wherever the lines' group changes."""
+    lines = [
+        r"\begin{tabular}{l" + "c" * (len(header) - 1) + "}",
+        r"\toprule",
+        _latex_line(header),
+        r"\midrule",
+    ]
+    for position, line in enumerate(body):
+        if position and groups[position] != groups[position - 1]:
+            lines.append(r"\midrule")
+        lines.append(_latex_line(line))
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
 
 
 def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
@@ -101,7 +104,7 @@ def _measured(metric: str, row: dict) -> str:
     return text + (" ▼" if metric in row["below_floor"].split() else "")
 
 
-def _latex_line(cells: list[str]) -> str:
+def _latex_line(cells: Sequence[str]) -> str:
     symbols = {"_": r"\_", "%": r"\%", "&": r"\&", "*": "", "∞": r"$\infty$"}
     symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
     escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]
