@@ -1,6 +1,8 @@
 """One progress bar, on terminals only."""
 
+import math
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -9,10 +11,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 Item = TypeVar("Item")
+ESTIMATED_AFTER = 10  # steps
 
 
 @contextmanager
-def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
+def progress_bar(title: str, total: int) -> Iterator[Callable[..., None]]:
     """A bar of `total` steps on standard error; the block gets a function that advances it."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(
@@ -23,7 +26,34 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
     )
     with bar:
         task = bar.add_task(title, total=total)
-        yield lambda: bar.advance(task)
+
+        def advance(description: str | None = None) -> None:
+            bar.update(task, advance=1, description=description)
+
+        yield advance
+
+
+@contextmanager
+def training_bar(title: str, steps: int) -> Iterator[Callable[[float], None]]:
+    """A bar whose block gets a function to call with every step's loss.
+
+    Where there is no terminal, one line says after a few steps how long the rest will take.
+    """
+    start, done = time.monotonic(), 0
+    with progress_bar(title, steps) as advance:
+
+        def report(loss: float) -> None:
+            nonlocal start, done
+            if math.isnan(loss):  # a step of an earlier, killed training
+                start = time.monotonic()
+            else:
+                done += 1
+            advance(f"{title}, loss {loss:.4f}")
+            if done == ESTIMATED_AFTER and not sys.stderr.isatty():
+                minutes = (time.monotonic() - start) / done * (steps - done) / 60
+                print(f"{title}: {steps} steps, about {minutes:.1f} minutes left", file=sys.stderr)
+
+        yield report
 
 
 def counted(items: Iterable[Item], advance: Callable[[], None]) -> Iterator[Item]:
