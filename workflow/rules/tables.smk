@@ -2,6 +2,9 @@
 
 TABLE_FILES = [in_run(layout.TABLE) + suffix for suffix in (".csv", ".md", ".tex")]
 COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
+GEOMETRY_FILES = [
+    in_run(layout.GEOMETRY_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
+]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -33,6 +36,22 @@ rule cost_table:
         code=code_hash("geoevs.results.costs"),
     shell:
         "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
+
+
+rule geometry_table:
+    input:
+        in_run(layout.DEPTH_SCORES),
+    output:
+        GEOMETRY_FILES,
+    log:
+        in_run("logs/geometry_table.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.geometry_table"),
+    shell:
+        "geoevs --log {log:q} geometry-table --scores {input:q} --settings {params.settings:q}"
+        " --out {params.stem:q}"
 
 
 rule figure:
@@ -69,4 +88,5 @@ rule tables:
         expand(TABLE_FILES, table=TABLES),
         expand(in_run(layout.FIGURE), table=TABLES),
         COST_FILES,
+        GEOMETRY_FILES,
         in_run(layout.MANIFEST),
