@@ -23,6 +23,7 @@ include: "workflow/rules/targets.smk"
 include: "workflow/rules/baselines.smk"
 include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
+include: "workflow/rules/pretrain.smk"
 
 
 rule all:

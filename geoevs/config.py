@@ -1,7 +1,8 @@
 """Checking a run's config: one sentence per mistake, with the file, the line and the right word."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,13 @@ from jsonschema import Draft202012Validator, ValidationError
 
 from geoevs.adapter import find_methods, method_class
 from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.plugins import check_options
 from geoevs.protocol.entries import ORACLES, MethodEntry
 from geoevs.scenes.scene import SceneRef, source_class
+
+SUITE_MODEL = "vggt-nano"
+"""The depth model whose pretrained weights come with this suite."""
 
 Key = tuple[str | int, ...]
 
@@ -28,7 +33,7 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
 
     Raises:
         GeoEvsError: a key is unknown, missing or wrong; a data set, source, method or option does
-            not exist; two partitions share a frame.
+            not exist; two partitions share a frame; there is nothing to evaluate or to train on.
     """
     validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text()))
     mistakes = sorted(
@@ -38,6 +43,7 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
         key, problem = _explain(mistakes[0])
         raise GeoEvsError(f"{_locate(key, files)}: {problem}")
     _check_datasets(config, files)
+    _check_geometry(config, files)
     _check_methods(config, files)
     for name in ("pose_bins", "support_bins"):
         edges = config["tables"][name]
@@ -77,6 +83,43 @@ def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
         for name, settings in config["methods"].items()
         if settings is not None
         for seed in settings.get("seeds", [0])
+    ]
+
+
+def expand_scenes(scenes: Iterable[str]) -> list[str]:
+    """A config's scenes with its ranges written out.
+
+    Raises:
+        GeoEvsError: a range is not of the form NAME and two rising numbers.
+
+    >>> expand_scenes(["junction-7", "curve-008..010"])
+    ['junction-7', 'curve-008', 'curve-009', 'curve-010']
+    """
+    names: list[str] = []
+    for text in scenes:
+        if ".." not in text:
+            names.append(text)
+            continue
+        found = re.fullmatch(r"([a-zA-Z0-9_.-]*?)([0-9]+)\.\.([0-9]+)", text)
+        if found is None or int(found[2]) > int(found[3]):
+            raise GeoEvsError(
+                f"scene '{text}' is not of the form NAME, NAME@FIRST-LAST (frames) or FIRST..LAST "
+                "(scenes), such as curve-1..40"
+            )
+        prefix, first, last = found.groups()
+        numbers = range(int(first), int(last) + 1)
+        names.extend(f"{prefix}{number:0{len(first)}d}" for number in numbers)
+    return names
+
+
+def partition_scenes(
+    config: Mapping[str, Any], partition: str, datasets: Iterable[str]
+) -> list[tuple[str, str]]:
+    """(data set, scene) pairs that a partition of some data sets names, in order."""
+    return [
+        (dataset, scene)
+        for dataset in datasets
+        for scene in expand_scenes(config["datasets"][dataset]["partitions"].get(partition, []))
     ]
 
 
@@ -143,6 +186,11 @@ def _check_datasets(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 f"{_locate(('evaluate',), files)}: there is no data set '{name}' under 'datasets'; "
                 f"{did_you_mean(name, datasets)}"
             )
+        if not datasets[name]["partitions"].get("test"):
+            raise GeoEvsError(
+                f"{_locate(('evaluate',), files)}: data set '{name}' has no test scenes; name some "
+                "under its partitions.test, or do not evaluate it"
+            )
     for name, dataset in datasets.items():
         source = dataset["source"]
         with _located(("datasets", name, "source"), files):
@@ -160,14 +208,14 @@ def _check_datasets(config: Mapping[str, Any], files: Sequence[Path]) -> None:
 
 
 Placed = list[tuple[str, str, SceneRef]]
-"""Scenes of a data set: partition, the scene as the config writes it, and what that means."""
+"""Scenes of a data set: partition, the scene as text, and what that means."""
 
 
 def _placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
     return [
         (partition, text, SceneRef.parse(text))
         for partition, texts in partitions.items()
-        for text in texts
+        for text in expand_scenes(texts)
     ]
 
 
@@ -193,6 +241,33 @@ def _check_shared(dataset: str, placed: Placed, other: str, other_placed: Placed
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and data set "
                 f"'{other}', of the same source, has '{other_text}' in '{second}'; a frame may "
                 "serve one partition only, so remove one"
+            )
+
+
+def _check_geometry(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    geometry = config["geometry"]
+    model = geometry["model"]
+    with _located(("geometry", "model"), files):
+        if model not in DEPTH_MODELS:
+            raise GeoEvsError(
+                f"there is no depth model '{model}'; {did_you_mean(model, DEPTH_MODELS)}"
+            )
+    if model == "lidar":
+        return
+    if geometry["weights"] is None and model != SUITE_MODEL:
+        raise GeoEvsError(
+            f"{_locate(('geometry', 'weights'), files)}: depth model '{model}' needs weights; "
+            "give their path"
+        )
+    if geometry["finetune"] is None:
+        return
+    with _located(("geometry", "finetune"), files):
+        if DEPTH_MODELS[model] is not VggtDepth:
+            raise GeoEvsError(f"depth model '{model}' cannot be fine-tuned; set 'finetune' to null")
+        if not partition_scenes(config, "geometry", config["datasets"]):
+            raise GeoEvsError(
+                f"there are no scenes to fine-tune '{model}' on; name some under "
+                "partitions.geometry of a data set, or set 'finetune' to null"
             )
 
 

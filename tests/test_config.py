@@ -5,7 +5,13 @@ import pytest
 import yaml
 
 import baselines
-from geoevs.config import check_config, check_syntax, method_entries
+from geoevs.config import (
+    check_config,
+    check_syntax,
+    expand_scenes,
+    method_entries,
+    partition_scenes,
+)
 from geoevs.errors import GeoEvsError
 
 PROJECT = Path(__file__).parents[1]
@@ -37,9 +43,19 @@ tables:
   support_bins: [0, 0.1]
   resamples: 100
   confidence: 0.95
-geometry: {model: lidar}
+geometry:
+  model: lidar
+  weights: null
+  supervision: dense
+  finetune: {steps: 2, batch: 1, learning_rate: 0.001}
+weights: somewhere
+pretrain: {vggt-nano: &o {steps: 3, batch: 2, learning_rate: 0.01}, autoencoder: *o, prior: *o}
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
+training:
+  {prior: nano, prediction: null, schedule: null, steps: 2, batch: 2, learning_rate: 0.001, drop: 0.1,
+   encoder: trained, validity: true, weighting: uniform, masks: reprojected, probability: 0.4,
+   sampling: {steps: 2}, variants: {v1: {probability: 0}, v3: {}}}
 """
 
 
@@ -170,7 +186,55 @@ MISTAKES = {
     "a scene that leaves its folder": ('"002@10-19"', '".."', "9: scene '..' is not of the form"),
     "a scene in another folder": ('"002@10-19"', '"a/b"', "9: scene 'a/b' is not of the form"),
     "a number as scene": ('"002@10-19"', "2", "11: 'datasets.real.partitions.test.0' is wrong: 2"),
-    "no test scene": ('["002@10-19"]', "[]", "11: 'datasets.real.partitions.test' is wrong: []"),
+    "no test scene": (
+        '["002@10-19"]',
+        "[]",
+        "4: data set 'real' has no test scenes; name some under its partitions.test, or do not ",
+    ),
+    "no test partition": ('      test: ["002@10-19"]\n', "", "4: data set 'real' has no te"),
+    "a range that falls": ('"001"', "a-9..8", "9: scene 'a-9..8' is not of the form NAME, NA"),
+    "a range of names": ('"001"', "a-1..a-2", "9: scene 'a-1..a-2' is not of the form NAME, NA"),
+    "a range of ranges": ('"001"', "003@0..9", "9: scene '003@0..9' is not of the form NAME, NA"),
+    "a range with a scene that is tested": (
+        '"001", "002@0-9"',
+        '"001..003"',
+        "9: data set 'real' has scene '002' in partition 'train' and '002@10-19' in 'test'; ",
+    ),
+    "unknown depth model": (
+        "model: lidar",
+        "model: vggt-nan",
+        "27: there is no depth model 'vggt-nan'; did you mean 'vggt-nano'? (one of: depth-",
+    ),
+    "a depth model without weights": (
+        "model: lidar",
+        "model: vggt-1b",
+        "28: depth model 'vggt-1b' needs weights; give their path",
+    ),
+    "a depth model that cannot learn": (
+        "model: lidar\n  weights: null",
+        "model: depth-anything-3\n  weights: there",
+        "30: depth model 'depth-anything-3' cannot be fine-tuned; set 'finetune' to null",
+    ),
+    "nothing to fine-tune on": (
+        "model: lidar",
+        "model: vggt-nano",
+        "30: there are no scenes to fine-tune 'vggt-nano' on; name some under partitions.geom",
+    ),
+    "fine-tuning of no steps": (
+        "steps: 2,",
+        "steps: 0,",
+        "30: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
+    ),
+    "an unknown supervision": (
+        "supervision: dense",
+        "supervision: sparse",
+        "29: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
+    ),
+    "no pretraining": (
+        "prior: *o",
+        "prior: null",
+        "32: 'pretrain.prior' is wrong: None is not of type 'object'",
+    ),
     "edges that fall": (
         "pose_bins: [0, 10]",
         "pose_bins: [0, 10, 5]",
@@ -183,9 +247,9 @@ MISTAKES = {
     "a mask beyond the side camera": (
         "[0, 1], lateral",
         "[0, 1.5], lateral",
-        "29: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+        "35: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
     ),
-    "no masks": ("[-2, 2]", "[]", "29: 'conditions.masks.lateral' is wrong: [] "),
+    "no masks": ("[-2, 2]", "[]", "35: 'conditions.masks.lateral' is wrong: [] "),
     "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }
@@ -247,6 +311,29 @@ def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
     monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
     with pytest.raises(GeoEvsError, match=r"method 'needy' cannot be imported \(No module named"):
         check("reference: {}", "needy: {options: {a: 1}}")
+
+
+def test_networks_need_scenes_or_stay_as_they_are(check):
+    network = "model: lidar\n  weights: null\n  supervision: dense\n  finetune:"
+    finetune = "{steps: 2, batch: 1, learning_rate: 0.001}"
+    check(f"{network} {finetune}", f"{network} null".replace("lidar", "vggt-nano"))
+    changed = f"{network} null".replace("lidar", "depth-anything-3").replace("null", "there", 1)
+    check(f"{network} {finetune}", changed)
+
+
+def test_scenes_of_a_partition_in_order():
+    datasets = {
+        "b": {"partitions": {"train": ["x", "y-98..101"], "test": ["t"]}},
+        "a": {"partitions": {"train": ["007..008"]}},
+        "c": {"partitions": {}},
+    }
+    config = {"datasets": datasets}
+    assert partition_scenes(config, "train", datasets) == [
+        *(("b", scene) for scene in ("x", "y-98", "y-99", "y-100", "y-101")),
+        *(("a", scene) for scene in ("007", "008")),
+    ]
+    assert partition_scenes(config, "test", ["a"]) == []
+    assert expand_scenes(["curve-5..5", "1..3"]) == ["curve-5", "1", "2", "3"]
 
 
 def test_entries_have_the_runs_seed_added_and_skip_null():

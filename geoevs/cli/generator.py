@@ -51,6 +51,8 @@ def train(
         if geometry_weights is not None:
             link_file(geometry_weights, partial / "geometry.safetensors")
         write_json(partial / "settings.json", {"geometry": geometry, "sampling": wanted.sampling})
+    # Code that has changed since then must not find a finished training.
+    (work / "state.pt").unlink()
 
 
 def train_autoencoder(
@@ -85,6 +87,7 @@ def train_autoencoder(
         trained = train(task, optimisation, seed, "autoencoder", work, report)
     trained.fit_statistics(some.to(device))
     save_autoencoder(out, trained, torch.float16)
+    (work / "state.pt").unlink()
 
 
 def train_prior(
@@ -114,3 +117,4 @@ def train_prior(
     with training_bar(f"prior on {len(images)} images", steps) as report:
         trained = train(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
     save_denoiser(out, trained, Diffusion(), torch.float16)
+    (work / "state.pt").unlink()

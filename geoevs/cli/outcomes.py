@@ -17,7 +17,10 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (collect, table, ablation_table, cost_table, grid, manifest, failures):
+    for command in (
+        *(collect, table, ablation_table, cost_table, geometry_table),
+        *(grid, manifest, install_weights, failures),
+    ):
         app.command()(command)
 
 
@@ -80,6 +83,25 @@ def cost_table(
     write_text(out.with_suffix(".md"), cost_markdown(made))
 
 
+def geometry_table(
+    scores: Annotated[Path, typer.Option(help="The run's depth-scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+) -> None:
+    """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
+    from geoevs.io import write_text
+    from geoevs.results.geometry_table import (
+        geometry_latex,
+        geometry_markdown,
+        make_geometry_table,
+    )
+
+    made = make_geometry_table(_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), geometry_markdown(made))
+    write_text(out.with_suffix(".tex"), geometry_latex(made))
+
+
 def grid(
     name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
     run: Run,
@@ -107,6 +129,27 @@ def manifest(
     from geoevs.results.manifest import make_manifest
 
     write_json(out, make_manifest(parse_json("--config", config), inputs))
+
+
+def install_weights(
+    pretrained: Annotated[Path, typer.Argument(help="The folder of the new weights.")],
+    work: Annotated[list[str], typer.Option(help="NETWORK=FOLDER of its training; one each.")],
+    config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
+    weights: Annotated[Path, typer.Option(help="The folder that trainings start from.")],
+    out: Out,
+) -> None:
+    """Put pretrained weights where trainings start from, with what they were made of."""
+    from geoevs.io import write_bytes, write_json
+    from geoevs.results.manifest import make_provenance
+
+    folders = dict(pair.split("=", 1) for pair in work)
+    networks = {name: pretrained / f"{name}.safetensors" for name in folders}
+    losses = {name: Path(folder) / "losses.csv" for name, folder in folders.items()}
+    provenance = make_provenance(parse_json("--config", config), networks, losses)
+    for path in networks.values():
+        write_bytes(weights / path.name, path.read_bytes())
+    write_json(weights / "provenance.json", provenance)
+    write_json(out, provenance)
 
 
 def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")]) -> None:

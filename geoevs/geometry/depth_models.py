@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -15,11 +15,17 @@ from geoevs.geometry.scale import fit_scale
 from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 
+if TYPE_CHECKING:
+    from torch import nn
+
 # torch is imported where a network is made: it takes seconds, and names are listed without one.
 
 
 class DepthModel(Protocol):
     """Gives the source views of a frame their depth."""
+
+    parameters: int
+    """Learned ones."""
 
     def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
         """(H, W) float32 metres by camera, 0 = none."""
@@ -52,6 +58,8 @@ def make_depth_model(name: str, weights: Path | None) -> DepthModel:
 class LidarDepth:
     """The LiDAR's own depth, completed (see `complete_depth`)."""
 
+    parameters = 0
+
     def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
         """(H, W) float32 metres by camera, 0 = none."""
         return lidar_depths(views, frame)
@@ -59,6 +67,13 @@ class LidarDepth:
 
 class NetworkDepth(ABC):
     """Depth that a network predicts of all views at once; LiDAR, where allowed, sets its scale."""
+
+    model: "nn.Module"
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers it learned."""
+        return sum(parameter.numel() for parameter in self.model.parameters())
 
     @abstractmethod
     def predict(

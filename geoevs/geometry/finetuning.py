@@ -4,7 +4,8 @@ The paper fine-tunes with fixed camera poses, so depth alone is supervised (sect
 truth on procedural scenes, by LiDAR elsewhere.
 """
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
-from geoevs.training import mixed_precision
+from geoevs.training import Optimisation, mixed_precision, train
 
 FAR = 200.0
 """Metres at which the sky is taught to lie, so that it is lifted like everything else."""
@@ -40,19 +41,63 @@ class DepthFrames:
     def __len__(self) -> int:
         return len(self.images)
 
+    def digest(self) -> str:
+        """Hash of all of it: a training that was killed must not go on with other frames."""
+        found = hashlib.sha256(str(self.images.shape).encode())
+        for array in (self.images, self.depths):
+            found.update(np.ascontiguousarray(array))
+        return found.hexdigest()
+
+
+def train_vggt(
+    model: Vggt,
+    frames: DepthFrames,
+    batch: int,
+    optimisation: Optimisation,
+    seed: int,
+    work: Path,
+    report: Callable[[float], None] = lambda loss: None,
+) -> Vggt:
+    """Train a network on frames, from the weights that it has; it goes on if it was killed.
+
+    Args:
+        model: on the device to train on.
+        frames: what it learns from.
+        batch: frames a step.
+        optimisation: how long and how fast.
+        seed: decides every batch.
+        work: the training's own folder (see `train`).
+        report: called after every step with its loss.
+
+    Raises:
+        GeoEvsError: a loss or gradient is not finite.
+    """
+    key = f"vggt {batch} {frames.digest()}"
+    return train(GeometryTask(model, frames, batch), optimisation, seed, key, work, report)
+
 
 def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFrames:
     """All frames of scenes: dense truth where `depths` has it (sky at FAR), else all LiDAR points.
 
+    Args:
+        scenes: scene stores.
+        depths: their folders of dense truth, some of them empty; or none at all, for LiDAR alone.
+
     Raises:
-        GeoEvsError: there is no scene, or the scenes differ in their cameras' number or size.
+        GeoEvsError: there is no scene, the scenes differ in their cameras' number or size, or
+            their folders of truth are fewer or more.
     """
+    if depths and len(depths) != len(scenes):
+        raise GeoEvsError(
+            f"there are {len(scenes)} scenes and {len(depths)} folders of true depth; give one for "
+            "each scene, or none"
+        )
     images, known = [], []
-    for folder, truth in zip(scenes, depths, strict=True):
+    for folder, truth in zip(scenes, depths or [None] * len(scenes), strict=True):
         scene = Scene(folder)
         for frame in scene.frames:
             images.append([to_uint8(scene.image(name, frame)) for name in scene.cameras])
-            dense = read_depths(truth, frame)
+            dense = read_depths(truth, frame) if truth is not None else {}
             known.append(
                 [_dense(dense[n]) if dense else _sparse(scene, n, frame) for n in scene.cameras]
             )

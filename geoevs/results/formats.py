@@ -105,7 +105,7 @@ def _measured(metric: str, row: dict) -> str:
     return text + (" ▼" if metric in row["below_floor"].split() else "")
 
 
-def _latex_line(cells: list[str]) -> str:
+def _latex_line(cells: Sequence[str]) -> str:
     symbols = {"_": r"\_", "%": r"\%", "&": r"\&", "*": "", "∞": r"$\infty$"}
     symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
     escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]

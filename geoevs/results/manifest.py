@@ -11,11 +11,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from geoevs.errors import GeoEvsError
+from geoevs.io import whole_file
 
 PACKAGES = (
     *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),
     *("opencv-contrib-python-headless", "pycolmap", "mitsuba", "numba", "scipy", "pillow"),
+    *("diffusers", "safetensors"),
 )
 
 
@@ -31,15 +35,48 @@ def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str
         "config": config,
         "seed": config["seed"],
         "inputs": {str(path): hash_path(path) for path in inputs},
-        "versions": {"python": platform.python_version()}
-        | {name: _version(name) for name in PACKAGES},
-        "machine": {
-            "system": f"{platform.system()} {platform.machine()}",
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-            "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
-        },
+        "versions": _versions(),
+        "machine": _machine(),
     }
+
+
+def make_provenance(
+    config: Mapping[str, Any], networks: Mapping[str, Path], losses: Mapping[str, Path]
+) -> dict[str, Any]:
+    """What pretrained weights were made of: commit, seed, scenes, steps, machine, final losses.
+
+    Args:
+        config: the merged config of the run that made them.
+        networks: the weights' files by name.
+        losses: each network's `losses.csv`; its last tenth is averaged, since single steps differ.
+    """
+    return {
+        "commit": _commit(),
+        "seed": config["seed"],
+        "resolution": config["resolution"],
+        "datasets": {
+            name: dataset
+            for name, dataset in config["datasets"].items()
+            if "pretrain" in dataset["partitions"]
+        },
+        "networks": {
+            name: {
+                "sha256": hash_path(path),
+                "settings": config["pretrain"][name],
+                "losses": _final_losses(losses[name]),
+            }
+            for name, path in networks.items()
+        },
+        "versions": _versions(),
+        "machine": _machine(),
+    }
+
+
+def _final_losses(path: Path) -> dict[str, float]:
+    with whole_file(path):
+        rows = pd.read_csv(path)
+    last = rows.tail(max(1, len(rows) // 10)).drop(columns="step")
+    return {name: round(float(value), 6) for name, value in last.mean().items()}
 
 
 def hash_path(path: Path) -> str:
@@ -57,6 +94,19 @@ def hash_path(path: Path) -> str:
         raise GeoEvsError(f"{path} is missing; make it before the manifest")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+    }
 
 
 def _version(package: str) -> str:

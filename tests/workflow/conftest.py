@@ -1,20 +1,25 @@
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
 PROJECT = Path(__file__).parents[2]
 
 
 class Workspace:
-    """A folder in which snakemake runs the project's workflow, its results apart."""
+    """A folder in which snakemake runs the project's workflow, its results apart.
 
-    SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml")
+    At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
+    """
+
+    SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        shutil.copytree(PROJECT / "geoevs/weights", folder / "weights")
+        (folder / "networks.yaml").write_text("weights: weights\n")
         for name in ("Snakefile", "workflow", "profiles", "config.yaml"):
             (folder / name).symlink_to(PROJECT / name)
 

@@ -10,7 +10,7 @@ from geoevs.io import read_image
 
 OTHER = """\
 datasets:
-  street: {partitions: {validation: [straight-501], geometry: [straight-502]}}
+  street-train: {partitions: {validation: [straight-501], geometry: [straight-502]}}
   other:
     source: street
     options: {frames: 2}
@@ -29,14 +29,19 @@ def test_pairs_and_masks_are_of_every_data_sets_training_scenes(workspace):
         ("point_maps", "point-m"),
     ):
         outputs = re.findall(rf"rule {rule}:\n.*\n +output: results/smoke/{folder}\S*?/(\S+)", text)
-        assert sorted(outputs) == ["other/curve-601.npz", "street/straight-401.npz"]
+        assert sorted(outputs) == ["other/curve-601.npz", "street-train/straight-301.npz"]
     scenes = re.findall(r"rule scene:\n +output: results/smoke/scenes/(\S+),", text)
-    # The picture alone looks at the test scene.
-    assert sorted(scenes) == ["other/curve-601", "street/junction-201", "street/straight-401"]
+    # The picture alone looks at the test scene; geometry is learned apart.
+    assert sorted(scenes) == [
+        *("other/curve-601", "street-train/straight-301", "street-train/straight-502"),
+        "street/junction-201",
+    ]
 
 
 def test_a_run_without_training_scenes_says_what_to_name(workspace):
-    (workspace.folder / "none.yaml").write_text("datasets: {street: {partitions: {train: []}}}\n")
+    (workspace.folder / "none.yaml").write_text(
+        "datasets: {street-train: {partitions: {train: []}}}\n"
+    )
     library = "results/smoke/artifact-masks/library.npz"
     run = workspace.snakemake(*workspace.SMOKE, "none.yaml", "--", library)
     assert run.returncode != 0
@@ -50,12 +55,12 @@ def test_the_smoke_runs_conditions(smoke_run):
     run = workspace.snakemake(*arguments)
     assert run.returncode == 0, run.stderr[-3000:]
     results = workspace.folder / "results/smoke"
-    pairs = read_pairs([results / "pairs/street/straight-401.npz"])
+    pairs = read_pairs([results / "pairs/street-train/straight-301.npz"])
     assert pairs.target.shape == (10, 64, 96, 3)
     library = read_masks(results / "artifact-masks/library.npz")
     # Two frames at two shifts: straight ahead, and half-way to both sides.
     assert len(library) == 2 * 2 * 3
-    assert set(library.scene) == set(pairs.scene) == {"straight-401"}
+    assert set(library.scene) == set(pairs.scene) == {"straight-301"}
     assert np.all((library.support > 0.5) & (library.support < 1))
     assert read_image(results / "figures/artifact-masks.png").std() > 10
     again = workspace.snakemake("-n", *arguments)

@@ -14,10 +14,15 @@ from geoevs.results.tables import TABLES
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
 # Everything but timings, which no two runs share.
 STABLE = (
-    *("scores.parquet", "tables", "figures", "renders"),
-    *("scenes", "truth", "references", "masks"),
+    *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
+    *("masks", "depths", "geometry", "trained"),
 )
-UNSTABLE = {"costs.csv", "costs.md", "render.json"}
+UNSTABLE = {
+    "costs.csv",
+    "costs.md",
+    "render.json",
+    *(f"geometry.{s}" for s in ("csv", "md", "tex")),
+}
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -131,6 +136,11 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     found = files(workspace.folder / "results/smoke")
     assert found.keys() == expected.keys()
     assert [name for name in found if found[name] != expected[name]] == []
+    once, again = (
+        pd.read_parquet(place.folder / "results/smoke/depth-scores.parquet")
+        for place in (finished, workspace)
+    )
+    pd.testing.assert_frame_equal(once.drop(columns="seconds"), again.drop(columns="seconds"))
 
 
 def refusal(run) -> str:

@@ -1,18 +1,25 @@
 # The checked config, the code hashes that make rules rerun, and the lists that targets expand over.
-import hashlib
 import json
 import shlex
 import sys
+from functools import cache
 from pathlib import Path
 
 from geoevs import layout
 from geoevs.adapter import find_methods
 from geoevs.code_hash import code_hash
-from geoevs.config import check_config, method_entries, training_settings
+from geoevs.config import (
+    SUITE_MODEL,
+    check_config,
+    method_entries,
+    partition_scenes,
+    training_settings,
+)
 from geoevs.errors import GeoEvsError
 from geoevs.protocol.entries import ORACLES
-from geoevs.scenes.scene import find_sources
+from geoevs.results.manifest import hash_path
 from geoevs.results.tables import TABLES
+from geoevs.scenes.scene import find_sources
 from snakemake.exceptions import WorkflowError
 
 try:
@@ -31,16 +38,10 @@ RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]
 PROTOCOL = json.dumps(config["protocol"])
 ENTRIES = {entry.label: entry for entry in method_entries(config)}
-TEST_SCENES = [
-    (dataset, scene)
-    for dataset in config["evaluate"]
-    for scene in config["datasets"][dataset]["partitions"]["test"]
-]
-TRAINING_SCENES = [
-    (dataset, scene)
-    for dataset, settings in config["datasets"].items()
-    for scene in settings["partitions"].get("train", [])
-]
+TEST_SCENES = partition_scenes(config, "test", config["evaluate"])
+TRAINING_SCENES = partition_scenes(config, "train", config["datasets"])
+GEOMETRY_SCENES = partition_scenes(config, "geometry", config["datasets"])
+PRETRAINING_SCENES = partition_scenes(config, "pretrain", config["datasets"])
 
 
 wildcard_constraints:
@@ -57,6 +58,17 @@ def in_run(pattern):
     return f"{RUN}/{pattern}"
 
 
+# The files with the depth network's weights before and after fine-tuning; one or none.
+GEOMETRY = config["geometry"]
+PRETRAINED = []
+FINETUNED = []
+if GEOMETRY["model"] != "lidar":
+    PRETRAINED = [
+        GEOMETRY["weights"] or f"{config['weights']}/{SUITE_MODEL}.safetensors"
+    ]
+    FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
+
+
 def every_scene(pattern, scenes=TEST_SCENES):
     """The pattern's paths for all test scenes, or for others."""
     return [
@@ -68,6 +80,12 @@ def every_scene(pattern, scenes=TEST_SCENES):
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
     return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
+
+
+@cache
+def content_hash(path):
+    """Hash of a file or folder that no rule makes; a job that needs a missing one says so."""
+    return hash_path(path) if Path(path).exists() else "missing"
 
 
 def every_result(pattern):
@@ -136,10 +154,11 @@ def trained(wildcards):
 
 
 def prior_hash():
-    """Hash of the pretrained weights, which are no output of any rule that tables need."""
-    files = sorted(Path(config["weights"]).glob("*.safetensors"))
-    contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-    return hashlib.sha256(" ".join(contents).encode()).hexdigest()[:16]
+    """Hash of the weights that Geo-EVS starts from, which are no output that tables need."""
+    names = ("autoencoder", "prior")
+    return " ".join(
+        content_hash(f"{config['weights']}/{name}.safetensors") for name in names
+    )
 
 
 def evidence(wildcards):
@@ -156,3 +175,26 @@ def evidence(wildcards):
 def evidence_arguments(wildcards, input):
     """The same as arguments."""
     return " ".join(f"--{name} '{input[name]}'" for name in evidence(wildcards))
+
+
+def with_option(option, paths):
+    """Every path behind an option."""
+    return " ".join(f"{option} {shlex.quote(str(path))}" for path in paths)
+
+
+def pretrained_hash(wildcards):
+    """No rule makes the depth network's starting weights, so params say which they are."""
+    return " ".join(content_hash(path) for path in PRETRAINED)
+
+
+def training_frames(wildcards, input):
+    """Scenes, and their true depth where a depth network may learn from it."""
+    return f"{with_option('--scenes', input.scenes)} {with_option('--depths', input.depths)}"
+
+
+def training_arguments(settings):
+    """How long and how fast a network learns."""
+    return (
+        f"--steps {settings['steps']} --batch {settings['batch']} "
+        f"--learning-rate {settings['learning_rate']} --seed {config['seed']}"
+    )

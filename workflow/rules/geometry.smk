@@ -1,9 +1,39 @@
-# Depth of every recorded view, by a depth model (paper section 3.2).
+# Depth of every recorded view, by a depth model (paper section 3.2), and how good it is.
+
+if FINETUNED:
+
+    rule finetune_geometry:
+        input:
+            scenes=every_scene(layout.SCENE, GEOMETRY_SCENES),
+            depths=(
+                every_scene(layout.DEPTHS, GEOMETRY_SCENES)
+                if GEOMETRY["supervision"] == "dense"
+                else []
+            ),
+        output:
+            FINETUNED,
+        log:
+            in_run("logs/finetune_geometry.log"),
+        benchmark:
+            in_run("benchmarks/finetune_geometry.tsv")
+        threads: workflow.cores
+        params:
+            frames=training_frames,
+            settings=training_arguments(GEOMETRY["finetune"]),
+            start=with_option("--start", PRETRAINED),
+            pretrained=pretrained_hash,
+            # Not an output: those of a killed job are deleted.
+            work=in_run(layout.TRAINING).format(network="vggt"),
+            code=code_hash("geoevs.geometry.finetuning"),
+        shell:
+            "geoevs --log {log:q} train-geometry {params.frames} {params.settings}"
+            " {params.start} --work {params.work:q} --out {output:q}"
 
 
 rule point_maps:
     input:
         scene=in_run(layout.SCENE),
+        weights=FINETUNED,
     output:
         in_run(layout.POINT_MAPS),
     log:
@@ -11,8 +41,46 @@ rule point_maps:
     benchmark:
         in_run("benchmarks/point-maps/{dataset}/{scene}.tsv")
     params:
-        model=config["geometry"]["model"],
+        model=GEOMETRY["model"],
+        weights=with_option("--weights", FINETUNED or PRETRAINED),
+        pretrained=pretrained_hash,
         code=code_hash("geoevs.geometry.point_maps"),
     shell:
         "geoevs --log {log:q} point-maps --scene {input.scene:q} --model {params.model:q}"
-        " --out {output:q}"
+        " {params.weights} --out {output:q}"
+
+
+# Timed, so it takes all cores and runs alone.
+rule depth_scores_of_scene:
+    input:
+        scene=in_run(layout.SCENE),
+        depths=in_run(layout.DEPTHS),
+        finetuned=FINETUNED,
+    output:
+        in_run(layout.DEPTH_SCORE_PART),
+    log:
+        in_run("logs/depth-scores/{dataset}/{scene}.log"),
+    benchmark:
+        in_run("benchmarks/depth-scores/{dataset}/{scene}.tsv")
+    threads: workflow.cores
+    params:
+        model=GEOMETRY["model"],
+        before=with_option("--pretrained", PRETRAINED),
+        after=with_option("--finetuned", FINETUNED),
+        pretrained=pretrained_hash,
+        code=code_hash("geoevs.protocol.depth_scoring"),
+    shell:
+        "geoevs --log {log:q} score-geometry --dataset {wildcards.dataset:q}"
+        " --scene-name {wildcards.scene:q} --scene {input.scene:q} --depths {input.depths:q}"
+        " --model {params.model:q} {params.before} {params.after} --out {output:q}"
+
+
+rule depth_scores:
+    input:
+        every_scene(layout.DEPTH_SCORE_PART),
+    output:
+        in_run(layout.DEPTH_SCORES),
+    log:
+        in_run("logs/depth-scores.log"),
+    shell:
+        "geoevs --log {log:q} collect {input:q} --out {output:q}"

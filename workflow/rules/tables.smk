@@ -5,6 +5,9 @@ ABLATION_FILES = [
     in_run(layout.ABLATION_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
 ]
 COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
+GEOMETRY_FILES = [
+    in_run(layout.GEOMETRY_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
+]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -54,6 +57,22 @@ rule ablation_table:
         " --settings {params.settings:q} --out {params.stem:q}"
 
 
+rule geometry_table:
+    input:
+        in_run(layout.DEPTH_SCORES),
+    output:
+        GEOMETRY_FILES,
+    log:
+        in_run("logs/geometry_table.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.geometry_table"),
+    shell:
+        "geoevs --log {log:q} geometry-table --scores {input:q} --settings {params.settings:q}"
+        " --out {params.stem:q}"
+
+
 rule figure:
     input:
         every_result(layout.RENDERS),
@@ -90,4 +109,5 @@ rule tables:
         expand(in_run(layout.FIGURE), table=TABLES),
         ABLATION_FILES,
         COST_FILES,
+        GEOMETRY_FILES,
         in_run(layout.MANIFEST),

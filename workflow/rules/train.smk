@@ -6,6 +6,7 @@ rule train:
     input:
         pairs=every_scene(layout.PAIRS, TRAINING_SCENES),
         library=in_run(layout.MASK_LIBRARY),
+        geometry=FINETUNED,
     output:
         directory(in_run(layout.TRAINED)),
     log:
@@ -20,13 +21,15 @@ rule train:
         settings=lambda wildcards: json.dumps(
             training_settings(config, wildcards.training)
         ),
-        geometry=config["geometry"]["model"],
+        geometry=GEOMETRY["model"],
+        geometry_weights=with_option("--geometry-weights", FINETUNED or PRETRAINED),
+        pretrained=pretrained_hash,
         weights=config["weights"],
         prior=prior_hash(),
-        work=in_run(layout.TRAINING),
+        work=in_run(layout.TRAINING).format(network="{training}.seed{seed}"),
         code=code_hash("geoevs.generator.training"),
     shell:
         "geoevs --log {log:q} train {params.pairs} --library {input.library:q}"
         " --settings {params.settings:q} --weights {params.weights:q}"
-        " --geometry {params.geometry:q} --work {params.work:q} --seed {wildcards.seed}"
-        " --out {output:q}"
+        " --geometry {params.geometry:q} {params.geometry_weights} --work {params.work:q}"
+        " --seed {wildcards.seed} --out {output:q}"

@@ -1,0 +1,99 @@
+"""The depth network as commands: training it, and saying how good it is (paper section 3.2)."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geoevs.cli.progress import progress_bar, training_bar
+
+Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    for command in (train_geometry, score_geometry):
+        app.command()(command)
+
+
+def train_geometry(
+    out: Out,
+    work: Annotated[
+        Path, typer.Option(help="Its state, losses and previews; a killed training goes on.")
+    ],
+    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps.")],
+    batch: Annotated[int, typer.Option(min=1, help="Frames a step.")],
+    learning_rate: Annotated[float, typer.Option(help="Peak learning rate of AdamW.")],
+    scenes: Annotated[
+        list[Path] | None, typer.Option(help="A scene store; repeat for more.")
+    ] = None,
+    depths: Annotated[
+        list[Path] | None,
+        typer.Option(help="Its dense true depth, once a scene; left out, LiDAR supervises."),
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="VGGT weights to fine-tune; left out, a new nano one.")
+    ] = None,
+    half: Annotated[bool, typer.Option("--half", help="Store weights as float16.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Decides every batch.")] = 0,
+) -> None:
+    """Fine-tune VGGT on driving scenes, or train a nano one from scratch."""
+    import torch
+
+    from geoevs.adapter import Rng
+    from geoevs.geometry.finetuning import read_depth_frames, train_vggt
+    from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
+    from geoevs.training import Optimisation
+
+    model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
+    frames = read_depth_frames(scenes or [], depths or [])
+    count = sum(parameter.numel() for parameter in model.parameters())
+    views = frames.images.shape[1]
+    described = f"{len(frames)} frames of {views} views, {count / 1e6:.1f} M parameters"
+    print(f"VGGT: {described}, {steps} steps", file=sys.stderr)
+    model.to("cuda" if torch.cuda.is_available() else "cpu")
+    with training_bar("VGGT", steps) as report:
+        optimisation = Optimisation(steps, learning_rate)
+        trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
+    save_vggt(trained, out, torch.float16 if half else torch.float32)
+    # Code that has changed since then must not find a finished training.
+    (work / "state.pt").unlink()
+
+
+def score_geometry(
+    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
+    scene_name: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    scene: Annotated[Path, typer.Option(help="A scene store.")],
+    depths: Annotated[Path, typer.Option(help="Its dense true depth; may be empty.")],
+    model: Annotated[str, typer.Option(help="The depth model's name; lidar is always scored.")],
+    out: Out,
+    pretrained: Annotated[Path | None, typer.Option(help="The model's weights before.")] = None,
+    finetuned: Annotated[
+        Path | None, typer.Option(help="The model's weights after fine-tuning.")
+    ] = None,
+) -> None:
+    """Score the depth of a scene's recorded views: one row a view, stage, scale and metric."""
+    from geoevs.geometry.depth_models import make_depth_model
+    from geoevs.io import write_bytes
+    from geoevs.protocol.depth_scoring import (
+        CONTROL,
+        FINE_TUNED,
+        PRETRAINED,
+        Candidate,
+        depth_scores,
+    )
+    from geoevs.scenes.store import Scene
+
+    store = Scene(scene)
+    candidates = []
+    if model != "lidar":
+        candidates.append(Candidate(model, PRETRAINED, make_depth_model(model, pretrained)))
+    if finetuned is not None:
+        candidates.append(Candidate(model, FINE_TUNED, make_depth_model(model, finetuned)))
+    candidates.append(Candidate("lidar", CONTROL, make_depth_model("lidar", None)))
+    total = len(store.frames) * sum(len(candidate.scales) for candidate in candidates)
+    common = {"dataset": dataset, "scene": scene_name}
+    with progress_bar(f"depth of {scene_name}", total) as advance:
+        rows = depth_scores(store, depths, candidates, common, advance)
+    write_bytes(out, rows.to_parquet(index=False))

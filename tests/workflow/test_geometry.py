@@ -1,0 +1,142 @@
+"""VGGT in the DAG: fine-tuned on its own scenes, scored before and after, pretrained apart."""
+
+import re
+import shutil
+
+import numpy as np
+import pandas as pd
+
+from geoevs.generator.prior import load_prior
+from geoevs.geometry.vggt import VGGT_NANO, load_vggt
+from geoevs.io import read_json
+from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
+
+
+def rules(plan) -> list[str]:
+    assert plan.returncode == 0, plan.stderr[-3000:]
+    return re.findall(r"^rule (\w+):$", plan.stdout + plan.stderr, re.MULTILINE)
+
+
+def plan(workspace, overlay, *arguments):
+    (workspace.folder / "overlay.yaml").write_text(overlay)
+    return workspace.snakemake(*workspace.SMOKE, "overlay.yaml", "-n", *arguments)
+
+
+def test_the_smoke_fine_tunes_and_scores(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke"
+    before = load_vggt(workspace.folder / "weights/vggt-nano.safetensors")
+    after = load_vggt(results / "geometry/vggt.safetensors")
+    assert after.config == before.config
+    losses = np.loadtxt(results / "training/vggt/losses.csv", delimiter=",", skiprows=1)
+    assert len(losses) == 4
+
+    rows = pd.read_parquet(results / "depth-scores.parquet")
+    assert list(rows.columns) == list(DEPTH_SCORE_TYPES)
+    # Two frames of five cameras, in three metrics.
+    counts = rows.groupby(["model", "stage", "scale"]).size().to_dict()
+    network = [("vggt-nano", stage) for stage in ("fine-tuned", "pretrained")]
+    assert counts == {
+        ("lidar", "control", "lidar"): 30,
+        **{(*entrant, scale): 30 for entrant in network for scale in ("lidar", "none")},
+    }
+    assert set(rows["scene"]) == {"junction-201"}
+    assert set(rows["truth"]) == {"dense"}
+
+    table = pd.read_csv(results / "tables/geometry.csv").set_index(["stage", "scale"])
+    assert table["abs_rel_change"].notna().sum() == 2
+    # LiDAR mends what four steps cannot.
+    assert table.loc[("fine-tuned", "lidar"), "abs_rel"] < table["abs_rel"]["pretrained", "none"]
+    assert table["abs_rel"].idxmin() == ("control", "lidar")
+    assert (results / "tables/geometry.tex").stat().st_size > 300
+
+
+def test_point_maps_come_from_the_fine_tuned_network(workspace):
+    maps = "results/smoke/point-maps/street-train/straight-301.npz"
+    made = plan(workspace, "{}\n", "-p", "--", maps)
+    assert rules(made).count("finetune_geometry") == 1
+    text = made.stdout + made.stderr
+    scenes = re.findall(r"rule scene:\n +output: results/smoke/scenes/(\S+),", text)
+    assert sorted(scenes) == ["street-train/curve-402", "street-train/straight-301"]
+    assert "--start weights/vggt-nano.safetensors" in text
+    assert "--depths results/smoke/depths/street-train/curve-402" in text
+    assert "--model vggt-nano --weights results/smoke/geometry/vggt.safetensors" in text
+
+
+def test_as_pretrained_it_is_read_from_where_it_lies(workspace):
+    other = "geometry: {model: vggt-1b, weights: public.pt, finetune: null}\n"
+    made = plan(workspace, other, "-p", "--", "tables", "conditions")
+    assert "finetune_geometry" not in rules(made)
+    text = made.stdout + made.stderr
+    assert "--model vggt-1b --weights public.pt" in text
+    assert "--pretrained public.pt" in text
+    assert "--finetuned" not in text
+
+
+def test_lidar_supervision_sees_no_truth(workspace):
+    overlay = "geometry: {supervision: lidar}\n"
+    text = plan(workspace, overlay, "-p", "--", "results/smoke/geometry/vggt.safetensors").stdout
+    (command,) = re.findall(r"geoevs .* train-geometry .*", text)
+    assert "--scenes results/smoke/scenes/street-train/curve-402" in command
+    assert "--depths" not in command
+
+
+def test_lidar_needs_no_network(workspace):
+    overlay = "geometry: {model: lidar}\n"
+    made = plan(workspace, overlay, "-p", "--", "tables", "conditions")
+    assert "finetune_geometry" not in rules(made)
+    text = made.stdout + made.stderr
+    assert "--model lidar" in text
+    assert "--pretrained" not in text
+    assert "--weights" not in text
+
+
+def test_other_starting_weights_fine_tune_again(smoke_run, tmp_path):
+    workspace, _ = smoke_run
+    weights = shutil.copytree(workspace.folder / "weights", tmp_path / "other")
+    with (weights / "vggt-nano.safetensors").open("ab") as file:
+        file.write(b" ")
+    overlay = workspace.folder / "moved.yaml"
+    overlay.write_text(f"weights: {tmp_path / 'other'}\n")
+    made = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "moved.yaml", "-n", "--", "tables")
+    assert {"finetune_geometry", "depth_scores_of_scene", "geometry_table"} <= set(rules(made))
+    assert not {"scene", "truth", "references"} & set(rules(made))
+
+
+def test_missing_weights_are_one_sentence(workspace):
+    (workspace.folder / "none.yaml").write_text(
+        "weights: nowhere\ngeometry: {supervision: lidar}\ndatasets: {street-train: "
+        "{options: {frames: 1, samples: 1}}}\nresolution: [16, 24]\n"
+    )
+    weights = "results/smoke/geometry/vggt.safetensors"
+    run = workspace.snakemake(*workspace.SMOKE, "none.yaml", "--", weights)
+    assert run.returncode != 0
+    assert "error: nowhere/vggt-nano.safetensors is missing; make or copy it there" in run.stderr
+
+
+def test_pretraining_is_apart_from_the_tables(workspace):
+    everything = plan(workspace, "{}\n", "--", "all", "tables", "breakdowns", "conditions")
+    assert not [rule for rule in rules(everything) if "pretrain" in rule]
+    assert "straight-1001" not in everything.stdout + everything.stderr
+
+
+def test_pretraining_installs_every_network(workspace):
+    (workspace.folder / "one.yaml").write_text(
+        "datasets: {street-pretrain: {options: {frames: 1, samples: 1}}}\n"
+        "resolution: [64, 96]\n"
+    )
+    run = workspace.snakemake(*workspace.SMOKE, "one.yaml", "--", "pretrain")
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke"
+    weights = workspace.folder / "weights"
+    assert load_vggt(weights / "vggt-nano.safetensors").config == VGGT_NANO
+    for network in ("vggt-nano", "autoencoder", "prior"):
+        new = (results / f"pretrain/{network}.safetensors").read_bytes()
+        assert (weights / f"{network}.safetensors").read_bytes() == new
+    provenance = read_json(weights / "provenance.json")
+    assert provenance["networks"]["prior"]["settings"]["steps"] == 4
+    assert np.isfinite(provenance["networks"]["autoencoder"]["losses"]["loss"])
+    assert load_prior("nano", weights).diffusion.prediction == "v_prediction"
+    scenes = sorted(path.name for path in (results / "scenes/street-pretrain").iterdir())
+    assert scenes == ["straight-1001", "straight-1002"]
