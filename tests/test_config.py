@@ -53,9 +53,9 @@ pretrain: {vggt-nano: &o {steps: 3, batch: 2, learning_rate: 0.01}, autoencoder:
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
 training:
-  {prior: nano, prediction: null, schedule: null, steps: 2, batch: 2, learning_rate: 0.001, drop: 0.1,
-   encoder: trained, validity: true, weighting: uniform, masks: reprojected, probability: 0.4,
-   sampling: {steps: 2}, variants: {v1: {probability: 0}, v3: {}}}
+  {prior: nano, prediction: null, schedule: null, steps: 4, batch: 2, learning_rate: 0.001,
+   drop: 0.1, encoder: trained, validity: true, weighting: uniform, masks: reprojected,
+   probability: 0.4, sampling: {steps: 5}, variants: {v1: {probability: 0}, v3: {}}}
 """
 
 
@@ -203,37 +203,37 @@ MISTAKES = {
     "unknown depth model": (
         "model: lidar",
         "model: vggt-nan",
-        "27: there is no depth model 'vggt-nan'; did you mean 'vggt-nano'? (one of: depth-",
+        "28: there is no depth model 'vggt-nan'; did you mean 'vggt-nano'? (one of: depth-",
     ),
     "a depth model without weights": (
         "model: lidar",
         "model: vggt-1b",
-        "28: depth model 'vggt-1b' needs weights; give their path",
+        "29: depth model 'vggt-1b' needs weights; give their path",
     ),
     "a depth model that cannot learn": (
         "model: lidar\n  weights: null",
         "model: depth-anything-3\n  weights: there",
-        "30: depth model 'depth-anything-3' cannot be fine-tuned; set 'finetune' to null",
+        "31: depth model 'depth-anything-3' cannot be fine-tuned; set 'finetune' to null",
     ),
     "nothing to fine-tune on": (
         "model: lidar",
         "model: vggt-nano",
-        "30: there are no scenes to fine-tune 'vggt-nano' on; name some under partitions.geom",
+        "31: there are no scenes to fine-tune 'vggt-nano' on; name some under partitions.geom",
     ),
     "fine-tuning of no steps": (
         "steps: 2,",
         "steps: 0,",
-        "30: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
+        "31: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
     ),
     "an unknown supervision": (
         "supervision: dense",
         "supervision: sparse",
-        "29: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
+        "30: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
     ),
     "no pretraining": (
         "prior: *o",
         "prior: null",
-        "32: 'pretrain.prior' is wrong: None is not of type 'object'",
+        "33: 'pretrain.prior' is wrong: None is not of type 'object'",
     ),
     "edges that fall": (
         "pose_bins: [0, 10]",

@@ -123,8 +123,7 @@ def test_pretraining_is_apart_from_the_tables(workspace):
 
 def test_pretraining_installs_every_network(workspace):
     (workspace.folder / "one.yaml").write_text(
-        "datasets: {street-pretrain: {options: {frames: 1, samples: 1}}}\n"
-        "resolution: [64, 96]\n"
+        "datasets: {street-pretrain: {options: {frames: 1, samples: 1}}}\nresolution: [64, 96]\n"
     )
     run = workspace.snakemake(*workspace.SMOKE, "one.yaml", "--", "pretrain")
     assert run.returncode == 0, run.stderr[-3000:]
