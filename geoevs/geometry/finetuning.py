@@ -20,7 +20,7 @@ from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
-from geoevs.training import mixed_precision
+from geoevs.training import fingerprint, mixed_precision
 
 FAR = 200.0
 """Metres at which the sky is taught to lie, so that it is lifted like everything else."""
@@ -87,12 +87,19 @@ class GeometryTask:
 
     def __init__(self, model: Vggt, frames: DepthFrames, batch: int) -> None:
         self.model, self._frames, self._batch = model, frames, batch
+        self.identity = fingerprint(batch, frames.images, frames.depths)
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The frames of one batch, counted in the order that they were read."""
+        return [f"frame {number}" for number in self._pick(rng)]
+
+    def _pick(self, rng: Rng) -> np.ndarray:
+        return rng.numpy.integers(len(self._frames), size=self._batch)
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The depth loss of one batch: VIEWS random views of each frame, in a random order."""
         device = next(self.model.parameters()).device
-        random = rng.numpy
-        picked = random.integers(len(self._frames), size=self._batch)
+        picked, random = self._pick(rng), rng.numpy
         order = random.permutation(self._frames.images.shape[1])[:VIEWS]
         images = self._frames.images[picked][:, order].astype(np.float32) / 255
         depths = self._frames.depths[picked][:, order].astype(np.float32)
@@ -105,7 +112,9 @@ class GeometryTask:
             prediction = self.model(seen)
         prediction = DepthPrediction(*(part.float() for part in prediction))
         with torch.no_grad():
-            relative = ((prediction.depth - known).abs() / known)[known > 0].mean()
+            relative = ((prediction.depth - known).abs() / known)[known > 0]
+            # Where LiDAR misses all views, the mean of nothing would stop the training.
+            relative = relative.sum() / max(len(relative), 1)
         return {"loss": depth_loss(prediction, known), "relative_error": relative}
 
     @torch.inference_mode()
