@@ -66,5 +66,9 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
     for name in weights:
         if name not in wanted:
             raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")
-    floats = {k: v.float() if v.is_floating_point() else v for k, v in weights.items()}
-    model.load_state_dict(floats, assign=True)
+    # Copied, because kernels round by their operands' alignment, which in a file is any.
+    copied = {
+        name: value.to(torch.float32 if value.is_floating_point() else value.dtype, copy=True)
+        for name, value in weights.items()
+    }
+    model.load_state_dict(copied, assign=True)

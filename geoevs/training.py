@@ -9,11 +9,12 @@ import hashlib
 import io
 import json
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -23,21 +24,32 @@ from geoevs.adapter import Rng
 from geoevs.errors import GeoEvsError
 from geoevs.io import whole_file, write_bytes, write_image, write_text
 
+STATE = "state.pt"
 CHECKPOINTS = 20  # of a whole training
+PREVIEWS = 4
 GRADIENT_NORM = 1.0
 
 
 class Task(Protocol):
-    """What is trained on what."""
+    """What is trained on what.
+
+    `identity` is a `fingerprint` of what decides the losses besides the model's weights: settings
+    and data. Trainings that differ in it never go on from each other's state.
+    """
 
     model: nn.Module
+    identity: str
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """Losses of one random batch, `loss` among them, which is minimised."""
         ...
 
-    def preview(self, model: nn.Module) -> np.ndarray | None:
-        """(H, W, 3) picture of what the model does so far, or nothing."""
+    def batch(self, rng: Rng) -> list[str]:
+        """The names of the samples that `losses` takes, given the same randomness."""
+        ...
+
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """(H, W, 3) picture of what the model does so far."""
         ...
 
 
@@ -51,7 +63,6 @@ class Optimisation:
         warmup: share of the steps that the learning rate rises for.
         weight_decay: AdamW's.
         average: EMA decay; it starts lower, so that the first weights are soon forgotten.
-        previews: how many pictures are written on the way.
     """
 
     steps: int
@@ -59,7 +70,6 @@ class Optimisation:
     warmup: float = 0.05
     weight_decay: float = 0.01
     average: float = 0.995
-    previews: int = 4
 
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step, counted from 0."""
@@ -82,8 +92,9 @@ def train(
 ) -> nn.Module:
     """Train a task's model and return its averaged weights as a model of the same kind.
 
-    `folder` holds what a killed run needs to go on (`state.pt`, of the same key, seed and
-    settings; others are started over), `losses.csv` and `previews/`.
+    `folder` holds what a killed run needs to go on (`state.pt`; that of another training is started
+    over), `losses.csv` and `previews/`. Code is no part of what tells trainings apart, so whoever
+    has kept the result deletes `state.pt` (see `finish`).
 
     Args:
         task: the model and its losses.
@@ -91,48 +102,69 @@ def train(
         seed: decides every batch.
         key: what is trained, so that two trainings of one seed differ.
         folder: this training's own.
-        report: called after every step with its loss, for a progress bar.
+        report: called after every step with its loss, for a progress bar; with NaN for every step
+            that a killed run has done.
 
     Raises:
-        GeoEvsError: a loss or gradient is not finite; the last good weights stay in `state.pt`.
+        GeoEvsError: a loss or gradient is not finite; the last good weights are in `state.pt`.
     """
-    identity = _identity(task.model, optimisation, seed, key)
-    state = _TrainingState(task.model, optimisation, folder / "state.pt", identity)
+    weights = [part for name, tensor in task.model.state_dict().items() for part in (name, tensor)]
+    identity = fingerprint(asdict(optimisation), seed, key, task.identity, *weights)
+    state = _TrainingState(task.model, optimisation, folder, identity)
     every = max(1, optimisation.steps // CHECKPOINTS)
-    shown = max(1, optimisation.steps // max(optimisation.previews, 1))
+    shown = max(1, optimisation.steps // PREVIEWS)
     task.model.train()
     for _ in range(state.step):
         report(math.nan)
     while state.step < optimisation.steps:
-        losses = task.losses(Rng(seed, key, str(state.step)))
-        _check_finite(losses, "loss", state.step, folder)
-        report(state.advance(losses, folder))
-        if state.step % every == 0 or state.step == optimisation.steps:
-            state.save(folder / "losses.csv")
-        if state.step % shown == 0 or state.step == optimisation.steps:
+        key_of_step = (seed, key, str(state.step))
+        try:
+            loss = state.advance(task.losses(Rng(*key_of_step)))
+        except FloatingPointError as error:
+            state.save()
+            batch = ", ".join(task.batch(Rng(*key_of_step)))
+            raise GeoEvsError(
+                f"{error} at step {state.step}, whose batch is {batch}; lower the learning rate or "
+                f"mend those samples (the last good weights are in {state.path})"
+            ) from None
+        report(loss)
+        last = state.step == optimisation.steps
+        # The state comes last: a run killed before it repeats the picture.
+        if state.step % shown == 0 or last:
             picture = task.preview(state.averaged)
-            if picture is not None:
-                write_image(folder / f"previews/{state.step:06d}.png", picture)
-    return state.averaged.eval()
+            write_image(folder / f"previews/{state.step:06d}.png", picture)
+        if state.step % every == 0 or last:
+            state.save()
+    return state.averaged
 
 
-def _identity(model: nn.Module, optimisation: Optimisation, seed: int, key: str) -> str:
-    """Hash of the settings and the weights that a training starts from."""
-    digest = hashlib.sha256(json.dumps([asdict(optimisation), seed, key]).encode())
-    for name, tensor in model.state_dict().items():
-        digest.update(f"{name}{tuple(tensor.shape)}".encode())
-        digest.update(tensor.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+def finish(folder: Path) -> None:
+    """Delete a training's state once its result is kept: changed code must not find it."""
+    (folder / STATE).unlink()
+
+
+def fingerprint(*parts: Any) -> str:
+    """Hash of arrays, tensors and JSON-able values, in their order."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Tensor):
+            part = part.detach().cpu().numpy()
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).data)
+        else:
+            digest.update(json.dumps(part).encode())
     return digest.hexdigest()
 
 
 class _TrainingState:
-    """Weights, their average, the optimiser and the losses so far."""
+    """Weights, their average, the optimiser and the losses so far; those on disk, if they fit."""
 
     def __init__(
-        self, model: nn.Module, optimisation: Optimisation, path: Path, identity: str
+        self, model: nn.Module, optimisation: Optimisation, folder: Path, identity: str
     ) -> None:
         self.model, self.optimisation = model, optimisation
-        self.averaged = copy.deepcopy(model).requires_grad_(False)
+        self.averaged = copy.deepcopy(model).requires_grad_(False).eval()
         self._parameters = [p for p in model.parameters() if p.requires_grad]
         self._optimiser = torch.optim.AdamW(
             self._parameters,
@@ -142,16 +174,26 @@ class _TrainingState:
         )
         self.step = 0
         self._losses: list[dict[str, float]] = []
-        self._path, self._identity = path, identity
-        if path.exists():
+        self.path = folder / STATE
+        self._folder, self._identity = folder, identity
+        if self.path.exists():
             self._resume()
+        if self.step == 0:
+            shutil.rmtree(folder / "previews", ignore_errors=True)  # another training's
 
-    def advance(self, losses: dict[str, Tensor], folder: Path) -> float:
-        """One optimiser step."""
+    def advance(self, losses: dict[str, Tensor]) -> float:
+        """One optimiser step; its loss.
+
+        Raises:
+            FloatingPointError: a loss or the gradient is not finite; nothing has changed.
+        """
+        for name, value in losses.items():
+            _check_finite(f"the loss '{name}'", value)
         self._optimiser.zero_grad(set_to_none=True)
         losses["loss"].backward()
-        norm = torch.nn.utils.clip_grad_norm_(self._parameters, GRADIENT_NORM)
-        _check_finite({"gradient": norm}, "gradient", self.step, folder)
+        _check_finite(
+            "the gradient's norm", torch.nn.utils.clip_grad_norm_(self._parameters, GRADIENT_NORM)
+        )
         for group in self._optimiser.param_groups:
             group["lr"] = self.optimisation.learning_rate_at(self.step)
         self._optimiser.step()
@@ -165,9 +207,15 @@ class _TrainingState:
         self.step += 1
         return self._losses[-1]["loss"]
 
-    def save(self, losses: Path) -> None:
-        """Write the state and the losses, each whole or not at all."""
-        buffer = io.BytesIO()
+    def save(self) -> None:
+        """Write the losses and the state, each whole or not at all."""
+        names = list(self._losses[0]) if self._losses else []
+        lines = [
+            ",".join([str(number), *(f"{row[name]:.6g}" for name in names)])
+            for number, row in enumerate(self._losses)
+        ]
+        header = ",".join(["step", *names])
+        write_text(self._folder / "losses.csv", "\n".join([header, *lines]) + "\n")
         contents = {
             "identity": self._identity,
             "step": self.step,
@@ -176,19 +224,14 @@ class _TrainingState:
             "optimiser": self._optimiser.state_dict(),
             "losses": self._losses,
         }
+        buffer = io.BytesIO()
         torch.save(contents, buffer)
-        write_bytes(self._path, buffer.getvalue())
-        names = list(self._losses[0])
-        lines = [
-            ",".join([str(number), *(f"{row[name]:.6g}" for name in names)])
-            for number, row in enumerate(self._losses)
-        ]
-        write_text(losses, "\n".join([",".join(["step", *names]), *lines]) + "\n")
+        write_bytes(self.path, buffer.getvalue())
 
     def _resume(self) -> None:
         device = next(self.model.parameters()).device
-        with whole_file(self._path):
-            contents = torch.load(self._path, map_location=device, weights_only=True)
+        with whole_file(self.path):
+            contents = torch.load(self.path, map_location=device, weights_only=True)
             if contents["identity"] != self._identity:  # another training: start over
                 return
             self.model.load_state_dict(contents["model"])
@@ -197,14 +240,9 @@ class _TrainingState:
             self.step, self._losses = contents["step"], contents["losses"]
 
 
-def _check_finite(values: dict[str, Tensor], what: str, step: int, folder: Path) -> None:
-    for name, value in values.items():
-        if not bool(torch.isfinite(value)):
-            raise GeoEvsError(
-                f"the {what} '{name}' is {float(value)} at step {step}, whose batch is a function "
-                f"of seed and step; lower the learning rate (the last good weights are in "
-                f"{folder / 'state.pt'})"
-            )
+def _check_finite(what: str, value: Tensor) -> None:
+    if not bool(torch.isfinite(value)):
+        raise FloatingPointError(f"{what} is {float(value)}")
 
 
 @contextmanager
@@ -218,6 +256,6 @@ def seeded(seed: int, *key: str) -> Iterator[None]:
 @contextmanager
 def mixed_precision(device: torch.device) -> Iterator[None]:
     """Autocast to bfloat16 where the device computes it faster than float32."""
-    fast = device.type == "cuda" or torch.cpu._is_avx512_bf16_supported()
+    fast = device.type == "cuda" or torch.cpu.get_capabilities().get("avx512_bf16", False)
     with torch.autocast(device.type, torch.bfloat16, enabled=fast):
         yield

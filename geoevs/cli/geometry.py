@@ -44,7 +44,7 @@ def train_geometry(
     from geoevs.adapter import Rng
     from geoevs.geometry.finetuning import read_depth_frames, train_vggt
     from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
-    from geoevs.training import Optimisation
+    from geoevs.training import Optimisation, finish
 
     model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
     frames = read_depth_frames(scenes or [], depths or [])
@@ -57,8 +57,7 @@ def train_geometry(
         optimisation = Optimisation(steps, learning_rate)
         trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
     save_vggt(trained, out, torch.float16 if half else torch.float32)
-    # Code that has changed since then must not find a finished training.
-    (work / "state.pt").unlink()
+    finish(work)
 
 
 def score_geometry(

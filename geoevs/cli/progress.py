@@ -39,18 +39,19 @@ def training_bar(title: str, steps: int) -> Iterator[Callable[[float], None]]:
 
     Where there is no terminal, one line says after a few steps how long the rest will take.
     """
-    start, done = time.monotonic(), 0
+    start, done, left = time.monotonic(), 0, steps
     with progress_bar(title, steps) as advance:
 
         def report(loss: float) -> None:
-            nonlocal start, done
+            nonlocal start, done, left
+            left -= 1
             if math.isnan(loss):  # a step of an earlier, killed training
                 start = time.monotonic()
             else:
                 done += 1
             advance(f"{title}, loss {loss:.4f}")
             if done == ESTIMATED_AFTER and not sys.stderr.isatty():
-                minutes = (time.monotonic() - start) / done * (steps - done) / 60
+                minutes = (time.monotonic() - start) / done * left / 60
                 print(f"{title}: {steps} steps, about {minutes:.1f} minutes left", file=sys.stderr)
 
         yield report

@@ -11,6 +11,8 @@ from diffusers.models.autoencoders.vae import DiagonalGaussianDistribution
 from torch import Tensor, nn
 from torch.nn import functional
 
+from geoevs.errors import GeoEvsError
+
 NANO_BLOCK = 4
 
 
@@ -66,8 +68,12 @@ class Autoencoder(nn.Module):
         self,
         images: Tensor,  # [B, 3, H, W] in [0, 1]
     ) -> DiagonalGaussianDistribution:
-        """Distribution of latents before normalisation."""
-        blocks = functional.pixel_unshuffle(images * 2 - 1, self.block)
+        """Distribution of latents before normalisation.
+
+        Raises:
+            GeoEvsError: the images do not divide into latents.
+        """
+        blocks = self._blocks(images)
         found = self.network.encode(blocks).latent_dist
         if self.linear is None:
             return found
@@ -78,7 +84,11 @@ class Autoencoder(nn.Module):
         self,
         images: Tensor,  # [B, 3, H, W] in [0, 1]
     ) -> Tensor:
-        """[B, C, H / factor, W / factor] normalised latents, the posterior's mean."""
+        """[B, C, H / factor, W / factor] normalised latents, the posterior's mean.
+
+        Raises:
+            GeoEvsError: the images do not divide into latents.
+        """
         return (self.posterior(images).mean - self.shift) / self.scale
 
     def decode(
@@ -100,8 +110,12 @@ class Autoencoder(nn.Module):
         self,
         images: Tensor,  # [B, 3, H, W] in [0, 1]
     ) -> None:
-        """Set the linear code to the blocks' principal components; the network adds nothing yet."""
-        blocks = functional.pixel_unshuffle(images * 2 - 1, self.block)
+        """Set the linear code to the blocks' principal components; the network adds nothing yet.
+
+        Raises:
+            GeoEvsError: the images do not divide into latents.
+        """
+        blocks = self._blocks(images)
         self.linear.fit(blocks.movedim(1, -1).flatten(0, -2))
         mean, _ = self.network.quant_conv.weight.chunk(2)
         for weight in (mean, self.network.decoder.conv_out.weight):
@@ -119,6 +133,16 @@ class Autoencoder(nn.Module):
         raw = self.posterior(images).mean
         self.shift.copy_(raw.mean(dim=(0, 2, 3), keepdim=True))
         self.scale.copy_(raw.std(dim=(0, 2, 3), keepdim=True))
+
+    def _blocks(self, images: Tensor) -> Tensor:
+        """[B, 3 block^2, H / block, W / block] in [-1, 1] of [B, 3, H, W] in [0, 1]."""
+        height, width = images.shape[2:]
+        if height % self.factor or width % self.factor:
+            raise GeoEvsError(
+                f"images of {height} x {width} do not divide into latents; choose sides that are "
+                f"multiples of {self.factor}"
+            )
+        return functional.pixel_unshuffle(images * 2 - 1, self.block)
 
 
 class LinearCode(nn.Module):

@@ -13,8 +13,8 @@ class ConditionEncoder(nn.Module):
     Args:
         factor: pixels per latent pixel, each way.
         channels: of the features.
-        validity: whether the mask beside the condition map is encoded too, so that black surfaces
-            and holes differ.
+        validity: whether the mask beside the condition map is encoded too; without it holes are
+            black, as in the paper, and so are some surfaces.
     """
 
     def __init__(self, factor: int, channels: int = 24, validity: bool = True) -> None:
@@ -35,9 +35,10 @@ class ConditionEncoder(nn.Module):
         valid: Tensor,  # [B, 1, H, W] bool
     ) -> Tensor:
         """[B, channels, H / factor, W / factor] features."""
-        shown = (condition * 2 - 1) * valid
+        shown = condition * 2 - 1
         if self.validity:
-            shown = torch.cat([shown, valid.to(shown.dtype)], dim=1)
+            mask = valid.to(shown.dtype)
+            shown = torch.cat([shown * mask, mask], dim=1)
         return self.layers(functional.pixel_unshuffle(shown, self.factor))
 
 

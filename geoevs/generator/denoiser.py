@@ -30,7 +30,7 @@ class Denoiser(nn.Module):
     The null condition and the token in a text prompt's place are learned.
 
     Args:
-        unet: reads the latents' channels, then the encoder's (see `widen`).
+        unet: reads the latents' channels, then the encoder's (see `conditioned`).
         encoder: E_geo, or None for an unconditional prior.
     """
 
@@ -65,7 +65,15 @@ class Denoiser(nn.Module):
         return self.unet(seen, timesteps, encoder_hidden_states=prompt).sample
 
 
-def widen(unet: UNet2DConditionModel, channels: int) -> None:
+def conditioned(prior: Denoiser, encoder: nn.Module) -> Denoiser:
+    """A denoiser of [z_t, c] that starts as an unconditional one, whose parts it takes over."""
+    _widen(prior.unet, encoder.channels)
+    denoiser = Denoiser(prior.unet, encoder)
+    denoiser.prompt = prior.prompt
+    return denoiser
+
+
+def _widen(unet: UNet2DConditionModel, channels: int) -> None:
     """Let a UNet's first layer read `channels` more, which change nothing until it is trained."""
     old = unet.conv_in
     new = nn.Conv2d(

@@ -17,6 +17,7 @@ SAMPLERS = {
     "euler": diffusers.EulerDiscreteScheduler,
 }
 TIMESTEPS = 1000
+LARGEST_LATENT = 10.0  # normalised latents have unit variance
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,7 @@ class Diffusion:
         Raises:
             GeoEvsError: there is no such sampler.
         """
-        if kind not in SAMPLERS:
-            raise GeoEvsError(f"there is no sampler '{kind}'; {did_you_mean(kind, SAMPLERS)}")
+        check_sampler(kind)
         settings = {
             "num_train_timesteps": TIMESTEPS,
             "beta_schedule": self.schedule,
@@ -107,8 +107,37 @@ class Diffusion:
         latent = noise * scheduler.init_noise_sigma
         for timestep in scheduler.timesteps:
             shown = scheduler.scale_model_input(latent, timestep)
-            latent = scheduler.step(predict(shown, timestep), timestep, latent).prev_sample
+            predicted = predict(shown, timestep)
+            if self.prediction == "epsilon":
+                signal = scheduler.alphas_cumprod[int(timestep)].to(noise.device)
+                predicted = _bound_clean(predicted, shown, signal)
+            latent = scheduler.step(predicted, timestep, latent).prev_sample
         return latent
+
+
+def check_sampler(kind: str) -> None:
+    """Check that there is a sampler of this name.
+
+    Raises:
+        GeoEvsError: there is none.
+    """
+    if kind not in SAMPLERS:
+        raise GeoEvsError(f"there is no sampler '{kind}'; {did_you_mean(kind, SAMPLERS)}")
+
+
+def _bound_clean(
+    noise: Tensor,  # [B, L, h, w] predicted
+    noisy: Tensor,  # [B, L, h, w]
+    signal: Tensor,  # [] alpha bar, the clean latent's share of the variance
+) -> Tensor:
+    """The noise prediction nearest to this one whose clean latent is within LARGEST_LATENT.
+
+    Almost pure noise divided by its trace of signal makes a small error a huge latent, from which
+    no later step recovers: 0.01 becomes 200 at the last timestep of the cosine schedule.
+    """
+    share, rest = signal.sqrt(), (1 - signal).sqrt()
+    clean = ((noisy - rest * noise) / share).clamp(-LARGEST_LATENT, LARGEST_LATENT)
+    return (noisy - share * clean) / rest
 
 
 def guided(

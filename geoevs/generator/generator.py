@@ -6,10 +6,12 @@ from typing import Self
 
 import numpy as np
 import torch
+from torch.nn.functional import pad
 
+from geoevs.errors import GeoEvsError
 from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
 from geoevs.generator.denoiser import Denoiser
-from geoevs.generator.diffusion import Diffusion, guided
+from geoevs.generator.diffusion import TIMESTEPS, Diffusion, check_sampler, guided
 from geoevs.generator.prior import (
     AUTOENCODER_FILE,
     load_autoencoder,
@@ -31,12 +33,22 @@ class Sampling:
         guidance: s_cfg.
         sampler: one of `diffusion.SAMPLERS`.
         average: samples whose mean is shown; the mean of several is nearer to the truth than any.
+
+    Raises:
+        GeoEvsError: a number is out of range, or there is no such sampler.
     """
 
     steps: int = 30
     guidance: float = 1.5
     sampler: str = "ddim"
     average: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.steps <= TIMESTEPS:
+            raise GeoEvsError(f"sampling has {self.steps} steps; choose from 1 to {TIMESTEPS}")
+        if self.average < 1:
+            raise GeoEvsError(f"sampling averages {self.average} samples; choose 1 or more")
+        check_sampler(self.sampler)
 
 
 @dataclass(frozen=True)
@@ -55,17 +67,20 @@ class Generator:
         sampling: Sampling,
         random: torch.Generator,
     ) -> np.ndarray:
-        """Sample images; (B, H, W, 3) float32 in [0, 1].
+        """Sample images of any size; (B, H, W, 3) float32 in [0, 1].
 
         Args:
-            conditions: condition maps X.
+            conditions: condition maps X. Where they do not divide into latents, pixels without
+                support are added below and to the right, and cropped from the result.
             valid: their validity.
             sampling: steps, guidance, ...
             random: on the CPU, so that every device starts from the same noise.
         """
         device = next(self.denoiser.parameters()).device
-        shown = to_tensor(conditions).to(device)
-        mask = torch.from_numpy(valid)[:, None].to(device)
+        height, width = valid.shape[1:]
+        padding = (0, -width % self.autoencoder.factor, 0, -height % self.autoencoder.factor)
+        shown = pad(to_tensor(conditions), padding).to(device)
+        mask = pad(torch.from_numpy(valid)[:, None], padding).to(device)
         count = len(conditions) * sampling.average
         with mixed_precision(device):
             features = self.denoiser.features(shown, mask).float()
@@ -81,7 +96,7 @@ class Generator:
             latents = self.diffusion.sample(predict, noise, sampling.steps, sampling.sampler)
             images = self.autoencoder.decode(latents)
         images = images.float().unflatten(0, (sampling.average, len(conditions))).mean(0)
-        return to_arrays(images)
+        return to_arrays(images[..., :height, :width])
 
     def save(self, folder: Path) -> None:
         """Write both networks into an existing folder."""

@@ -4,6 +4,7 @@ They stand in for Stable Diffusion's where its weights are not on the machine.
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -11,28 +12,35 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.adapter import Rng
+from geoevs.errors import GeoEvsError
 from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
 from geoevs.generator.denoiser import Denoiser
 from geoevs.generator.diffusion import Diffusion
 from geoevs.generator.training import denoising_losses
 from geoevs.io import to_uint8
 from geoevs.scenes.store import Scene
-from geoevs.training import mixed_precision
+from geoevs.training import fingerprint, mixed_precision
 
 KL_WEIGHT = 1e-5
 
 
 def read_images(scenes: Sequence[Path]) -> np.ndarray:
-    """(N, H, W, 3) uint8: every image of scenes of one resolution."""
-    opened = [Scene(folder) for folder in scenes]
-    return np.stack(
-        [
-            to_uint8(scene.image(camera, frame))
-            for scene in opened
-            for frame in scene.frames
-            for camera in scene.cameras
-        ]
-    )
+    """(N, H, W, 3) uint8: every image of scenes.
+
+    Raises:
+        GeoEvsError: their resolutions differ.
+    """
+    images = [
+        to_uint8(scene.image(camera, frame))
+        for scene in map(Scene, scenes)
+        for frame in scene.frames
+        for camera in scene.cameras
+    ]
+    sizes = sorted({image.shape[:2] for image in images})
+    if len(sizes) > 1:
+        found = ", ".join(f"{height} x {width}" for height, width in sizes)
+        raise GeoEvsError(f"scenes differ in resolution ({found}); train on those of one")
+    return np.stack(images)
 
 
 class AutoencoderTask:
@@ -43,12 +51,26 @@ class AutoencoderTask:
         images: (N, H, W, 3) uint8.
         batch: crops a step.
         crop: their height and width.
+
+    Raises:
+        GeoEvsError: crops are larger than the images.
     """
 
     def __init__(
         self, model: Autoencoder, images: np.ndarray, batch: int, crop: tuple[int, int]
     ) -> None:
+        height, width = images.shape[1:3]
+        if crop[0] > height or crop[1] > width:
+            raise GeoEvsError(
+                f"crops of {crop[0]} x {crop[1]} do not fit into images of {height} x {width}; "
+                "choose a smaller crop"
+            )
         self.model, self._images, self._batch, self._crop = model, images, batch, crop
+        self.identity = fingerprint(batch, crop, images)
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The images of one batch, counted in the order that they were read."""
+        return [f"image {number}" for number in _pick(self._images, self._batch, rng.numpy)]
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """Losses of one batch of crops, half of them mirrored."""
@@ -94,6 +116,12 @@ class PriorTask:
     ) -> None:
         self.model, self._images, self._batch = model, images, batch
         self._autoencoder, self._diffusion = autoencoder, diffusion
+        frozen = autoencoder.state_dict().values()
+        self.identity = fingerprint(batch, asdict(diffusion), images, *frozen)
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The images of one batch, counted in the order that they were read."""
+        return [f"image {number}" for number in _pick(self._images, self._batch, rng.numpy)]
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The denoising loss of one batch."""
@@ -129,7 +157,7 @@ def random_crops(
 ) -> Tensor:
     """[count, 3, h, w] random crops in [0, 1], half of them mirrored."""
     height, width = crop
-    picked = rng.integers(len(images), size=count)
+    picked = _pick(images, count, rng)
     tops = rng.integers(images.shape[1] - height + 1, size=count)
     lefts = rng.integers(images.shape[2] - width + 1, size=count)
     mirrored = rng.random(count) < 0.5
@@ -138,3 +166,8 @@ def random_crops(
         for i, top, left, flip in zip(picked, tops, lefts, mirrored, strict=True)
     ]
     return to_tensor(np.stack(crops))
+
+
+def _pick(images: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count,) numbers of random images: the first thing that a batch draws."""
+    return rng.integers(len(images), size=count)

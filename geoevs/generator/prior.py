@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
 from huggingface_hub.errors import HFValidationError
+from torch import Tensor
 
 from geoevs.errors import GeoEvsError
 from geoevs.generator.autoencoder import Autoencoder
@@ -22,10 +23,10 @@ REMAKE = "make it again (ours come from `snakemake pretrain`, trained ones from 
 
 @dataclass(frozen=True)
 class Prior:
-    """What training starts from: an autoencoder and an unconditional UNet over its latents."""
+    """What training starts from: an autoencoder and an unconditional denoiser of its latents."""
 
     autoencoder: Autoencoder
-    unet: UNet2DConditionModel
+    denoiser: Denoiser
     diffusion: Diffusion
 
 
@@ -40,16 +41,18 @@ def load_prior(name: str, weights: Path) -> Prior:
     Raises:
         GeoEvsError: the weights are not on the machine, damaged, or of another shape.
     """
-    if name != NANO:
-        return _public_prior(name)
-    autoencoder = load_autoencoder(weights / AUTOENCODER_FILE)
-    denoiser, diffusion = load_denoiser(weights / PRIOR_FILE, autoencoder)
-    if denoiser.unet.config.in_channels != autoencoder.latent_channels:
+    if name == NANO:
+        autoencoder = load_autoencoder(weights / AUTOENCODER_FILE)
+        prior = Prior(autoencoder, *load_denoiser(weights / PRIOR_FILE, autoencoder))
+    else:
+        prior = _public_prior(name)
+    read, have = prior.denoiser.unet.config.in_channels, prior.autoencoder.latent_channels
+    if read != have:
         raise GeoEvsError(
-            f"{weights / PRIOR_FILE} reads {denoiser.unet.config.in_channels} channels but latents "
-            f"have {autoencoder.latent_channels}; {REMAKE}"
+            f"prior '{name}' denoises {read} channels but its latents have {have}; name a prior "
+            "that generates, not one that inpaints or edits, or make it again"
         )
-    return Prior(autoencoder, denoiser.unet, diffusion)
+    return prior
 
 
 def save_autoencoder(
@@ -62,8 +65,7 @@ def save_autoencoder(
 
 def load_autoencoder(path: Path) -> Autoencoder:
     """Read what `save_autoencoder` wrote."""
-    settings, weights = read_network(path)
-    _check_settings(path, settings, {"block", "network"})
+    settings, weights = _read(path, {"block", "network"})
     autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
     load_weights(autoencoder, weights, path, REMAKE)
     return autoencoder.eval()
@@ -89,8 +91,7 @@ def save_denoiser(
 
 def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffusion]:
     """Read what `save_denoiser` wrote; a frozen encoder takes the autoencoder."""
-    settings, weights = read_network(path)
-    _check_settings(path, settings, {"unet", "encoder", "diffusion"})
+    settings, weights = _read(path, {"unet", "encoder", "diffusion"})
     encoder = settings["encoder"]
     if encoder == "frozen":
         encoder = FrozenEncoder(autoencoder)
@@ -112,7 +113,7 @@ def _public_prior(name: str) -> Prior:
         reason = " ".join(str(error).split())[:200]
         raise GeoEvsError(
             f"prior '{name}' is not on this machine ({reason}); download it with `hf download "
-            f"{name}`, give its folder, or set training.prior to {NANO}"
+            f"{name}`, give the folder that it lies in, or set training.prior to {NANO}"
         ) from error
     autoencoder = Autoencoder(network)
     autoencoder.scale.fill_(1 / network.config.scaling_factor)
@@ -120,7 +121,7 @@ def _public_prior(name: str) -> Prior:
     diffusion = Diffusion(
         noise.prediction_type, noise.beta_schedule, noise.beta_start, noise.beta_end
     )
-    return Prior(autoencoder.eval(), unet, diffusion)
+    return Prior(autoencoder.eval(), Denoiser(unet, None).eval(), diffusion)
 
 
 def _plain(config: dict[str, Any]) -> dict[str, Any]:
@@ -128,6 +129,11 @@ def _plain(config: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in config.items() if not name.startswith("_")}
 
 
-def _check_settings(path: Path, settings: dict[str, Any] | None, keys: set[str]) -> None:
+def _read(path: Path, keys: set[str]) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Settings, of these keys, and weights."""
+    if not path.is_file():
+        raise GeoEvsError(f"{path} is missing; {REMAKE}")
+    settings, weights = read_network(path)
     if settings is None or settings.keys() != keys:
         raise GeoEvsError(f"{path} does not say what network it holds; {REMAKE}")
+    return settings, weights

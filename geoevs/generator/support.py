@@ -41,16 +41,16 @@ def push_pull(
 
 
 def _push_pull(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Fill an image given as weighted values and weights in [0, 1]."""
+    """Fill an image given as (H, W, C) weighted values and (H, W) weights in [0, 1]."""
     height, width = weight.shape
     mean = total / np.maximum(weight, 1e-6)[..., None]
     if weight.min() >= 1 or max(height, width) == 1:
         return mean
     half = ((width + 1) // 2, (height + 1) // 2)
-    coarse_weight = np.minimum(4 * cv2.resize(weight, half, interpolation=cv2.INTER_AREA), 1)
-    coarse_total = cv2.resize(total, half, interpolation=cv2.INTER_AREA)
     share = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
-    coarse_total = coarse_total * (coarse_weight / np.maximum(share, 1e-6))[..., None]
-    coarse = _push_pull(coarse_total.reshape(*half[::-1], -1), coarse_weight)
+    coarse_weight = np.minimum(4 * share, 1)  # one known pixel of a block tells all of it
+    coarse_total = cv2.resize(total, half, interpolation=cv2.INTER_AREA).reshape(*share.shape, -1)
+    coarse_total *= (coarse_weight / np.maximum(share, 1e-6))[..., None]
+    coarse = _push_pull(coarse_total, coarse_weight)
     smooth = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
     return total + (1 - weight[..., None]) * smooth.reshape(total.shape)

@@ -1,7 +1,7 @@
 """Training Geo-EVS: denoise targets from artifact-injected condition maps (sections 3.3, 3.4)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,11 @@ from geoevs.conditions.pairs import Pairs
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.generator.autoencoder import to_tensor
 from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
-from geoevs.generator.denoiser import Denoiser, widen
+from geoevs.generator.denoiser import Denoiser, conditioned
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
 from geoevs.generator.generator import Generator, Sampling
 from geoevs.generator.prior import Prior, load_prior
-from geoevs.training import Optimisation, mixed_precision, seeded, train
+from geoevs.training import Optimisation, fingerprint, mixed_precision, seeded, train
 
 CONDITION_ENCODERS = ("trained", "frozen")
 WEIGHTINGS = ("uniform", "support")
@@ -38,7 +38,8 @@ class TrainingSettings:
         drop: share of conditions replaced by the null condition.
         encoder: E_geo, `trained` or `frozen`.
         validity: whether the trained encoder sees the validity mask beside X.
-        weighting: per-sample weights w_i, `uniform` or `support`.
+        weighting: per-sample weights w_i, `uniform` (1) or `support`, the condition's support ratio
+            over the training pairs' mean.
         masks: kind of artifact injection, and `probability` its p (see `ArtifactInjection`).
         sampling: fields of Sampling, what renders use unless they ask for another.
     """
@@ -117,15 +118,15 @@ class GeoEvsTask:
     """Denoise latents of targets Y from condition maps X, some of them artifact-injected.
 
     Args:
-        prior: the weights to start from; its UNet is widened and trained, the rest is frozen.
+        prior: the weights to start from; its denoiser is widened and trained, the rest is frozen.
         pairs: the training set.
         injection: which pixels of a condition are hidden (paper section 3.4).
-        settings: batch, drop, encoder, validity and weighting count here.
+        settings: batch, drop, encoder, validity and weighting count here; sampling in previews.
         seed: of the condition encoder's first weights.
 
     Raises:
-        GeoEvsError: there is no such encoder or weighting, or the images do not divide into
-            latents.
+        GeoEvsError: there is no such encoder, weighting or sampling, or the images do not divide
+            into latents.
     """
 
     def __init__(
@@ -142,32 +143,44 @@ class GeoEvsTask:
         ):
             if value not in allowed:
                 raise GeoEvsError(f"there is no {what} '{value}'; {did_you_mean(value, allowed)}")
-        _check_size(pairs.target.shape[1:3], prior)
-        self._autoencoder, self._diffusion = (
-            prior.autoencoder.requires_grad_(False),
-            prior.diffusion,
-        )
+        self._autoencoder = prior.autoencoder.requires_grad_(False)
+        self._diffusion = prior.diffusion
         self._pairs, self._injection, self._settings = pairs, injection, settings
-        self.model = _conditional(prior, settings, seed)
+        self._sampling = Sampling(**settings.sampling)
         self._latents = self._encode(pairs.target)
+        self.model = _conditional(prior, settings, seed)
+        self._mean_support = float(pairs.valid.mean())
+        masks = [] if injection.library is None else [injection.library.packed]
+        self.identity = fingerprint(
+            asdict(settings), asdict(prior.diffusion), pairs.rgb, pairs.valid, self._latents, *masks
+        )
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The views whose pairs one batch holds, as scene/camera/frame."""
+        pairs = self._pairs
+        return [f"{pairs.scene[n]}/{pairs.camera[n]}/{pairs.frame[n]}" for n in self._pick(rng)]
+
+    def _pick(self, rng: Rng) -> np.ndarray:
+        return rng.numpy.integers(len(self._pairs), size=self._settings.batch)
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
-        """L_train of one batch (paper section 3.3)."""
-        device = self._latents.device
-        random = rng.numpy
-        picked = random.integers(len(self._pairs), size=self._settings.batch)
-        valid = self._pairs.valid[picked] & self._injection.inject(random, self._settings.batch)
-        dropped = torch.from_numpy(random.random(self._settings.batch) < self._settings.drop).to(
-            device
-        )
+        """L_train of one batch (paper section 3.3), and the mean support of its conditions.
+
+        The masks are drawn last, so that trainings which differ in them alone share the rest.
+        """
+        device, count = self._latents.device, self._settings.batch
+        picked = self._pick(rng)
+        dropped = torch.from_numpy(rng.numpy.random(count) < self._settings.drop).to(device)
+        valid = self._pairs.valid[picked] & self._injection.inject(rng.numpy, count)
         condition = to_tensor(self._pairs.rgb[picked] * valid[..., None]).to(device)
         mask = torch.from_numpy(valid)[:, None].to(device)
         with mixed_precision(device):
             features = self.model.features(condition, mask, dropped)
         losses = denoising_losses(self.model, self._diffusion, self._latents[picked], features, rng)
         support = mask.float().mean(dim=(1, 2, 3))
-        weights = support / support.mean() if self._settings.weighting == "support" else 1.0
-        return {"loss": (weights * losses).mean(), "support": support.mean()}
+        if self._settings.weighting == "support":
+            losses = losses * support / self._mean_support
+        return {"loss": losses.mean(), "support": support.mean()}
 
     @torch.inference_mode()
     def preview(self, model: nn.Module) -> np.ndarray:
@@ -178,7 +191,7 @@ class GeoEvsTask:
         condition = self._pairs.rgb[picked].astype(np.float32) / 255 * valid[..., None]
         generator = Generator(self._autoencoder, model, self._diffusion)
         random = torch.Generator().manual_seed(0)
-        samples = generator.generate(condition, valid, Sampling(steps=8), random)
+        samples = generator.generate(condition, valid, self._sampling, random)
         columns = condition, samples, self._pairs.target[picked].astype(np.float32) / 255
         return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
 
@@ -199,22 +212,12 @@ class GeoEvsTask:
 
 
 def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoiser:
-    """The prior's UNet behind a new condition encoder."""
+    """The prior's denoiser behind a new condition encoder."""
     with seeded(seed, "geo-evs", "encoder"):
         encoder = (
             FrozenEncoder(prior.autoencoder)
             if settings.encoder == "frozen"
             else ConditionEncoder(prior.autoencoder.factor, validity=settings.validity)
         )
-        widen(prior.unet, encoder.channels)
-    return Denoiser(prior.unet, encoder).to(next(prior.autoencoder.parameters()).device)
-
-
-def _check_size(size: tuple[int, int], prior: Prior) -> None:
-    halvings = len(prior.unet.config.block_out_channels) - 1
-    step = prior.autoencoder.factor * 2**halvings
-    if size[0] % step or size[1] % step:
-        raise GeoEvsError(
-            f"images of {size[0]} x {size[1]} do not divide into the denoiser's latents; choose a "
-            f"resolution whose sides are multiples of {step}"
-        )
+    device = next(prior.autoencoder.parameters()).device
+    return conditioned(prior.denoiser, encoder).to(device)

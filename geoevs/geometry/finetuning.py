@@ -4,7 +4,6 @@ The paper fine-tunes with fixed camera poses, so depth alone is supervised (sect
 truth on procedural scenes, by LiDAR elsewhere.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
-from geoevs.training import Optimisation, mixed_precision, train
+from geoevs.training import Optimisation, fingerprint, mixed_precision, train
 
 FAR = 200.0
 """Metres at which the sky is taught to lie, so that it is lifted like everything else."""
@@ -40,13 +39,6 @@ class DepthFrames:
 
     def __len__(self) -> int:
         return len(self.images)
-
-    def digest(self) -> str:
-        """Hash of all of it: a training that was killed must not go on with other frames."""
-        found = hashlib.sha256(str(self.images.shape).encode())
-        for array in (self.images, self.depths):
-            found.update(np.ascontiguousarray(array))
-        return found.hexdigest()
 
 
 def train_vggt(
@@ -72,8 +64,7 @@ def train_vggt(
     Raises:
         GeoEvsError: a loss or gradient is not finite.
     """
-    key = f"vggt {batch} {frames.digest()}"
-    return train(GeometryTask(model, frames, batch), optimisation, seed, key, work, report)
+    return train(GeometryTask(model, frames, batch), optimisation, seed, "vggt", work, report)
 
 
 def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFrames:
@@ -132,12 +123,19 @@ class GeometryTask:
 
     def __init__(self, model: Vggt, frames: DepthFrames, batch: int) -> None:
         self.model, self._frames, self._batch = model, frames, batch
+        self.identity = fingerprint(batch, frames.images, frames.depths)
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The frames of one batch, counted in the order that they were read."""
+        return [f"frame {number}" for number in self._pick(rng)]
+
+    def _pick(self, rng: Rng) -> np.ndarray:
+        return rng.numpy.integers(len(self._frames), size=self._batch)
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The depth loss of one batch: VIEWS random views of each frame, in a random order."""
         device = next(self.model.parameters()).device
-        random = rng.numpy
-        picked = random.integers(len(self._frames), size=self._batch)
+        picked, random = self._pick(rng), rng.numpy
         order = random.permutation(self._frames.images.shape[1])[:VIEWS]
         images = self._frames.images[picked][:, order].astype(np.float32) / 255
         depths = self._frames.depths[picked][:, order].astype(np.float32)
@@ -150,7 +148,9 @@ class GeometryTask:
             prediction = self.model(seen)
         prediction = DepthPrediction(*(part.float() for part in prediction))
         with torch.no_grad():
-            relative = ((prediction.depth - known).abs() / known)[known > 0].mean()
+            relative = ((prediction.depth - known).abs() / known)[known > 0]
+            # Where LiDAR misses all views, the mean of nothing would stop the training.
+            relative = relative.sum() / max(len(relative), 1)
         return {"loss": depth_loss(prediction, known), "relative_error": relative}
 
     @torch.inference_mode()
