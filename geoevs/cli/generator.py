@@ -41,6 +41,7 @@ def train(
     from geoevs.conditions.pairs import read_pairs
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
+    from geoevs.training import finish
 
     wanted = TrainingSettings(**parse_json("--settings", settings))
     data = read_pairs(pairs)
@@ -51,8 +52,7 @@ def train(
         if geometry_weights is not None:
             link_file(geometry_weights, partial / "geometry.safetensors")
         write_json(partial / "settings.json", {"geometry": geometry, "sampling": wanted.sampling})
-    # Code that has changed since then must not find a finished training.
-    (work / "state.pt").unlink()
+    finish(work)
 
 
 def train_autoencoder(
@@ -71,7 +71,7 @@ def train_autoencoder(
     from geoevs.generator.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
     from geoevs.generator.pretraining import AutoencoderTask, read_images
     from geoevs.generator.prior import save_autoencoder
-    from geoevs.training import Optimisation, seeded, train
+    from geoevs.training import Optimisation, finish, seeded, train
 
     images = read_images(scenes)
     with seeded(seed, "autoencoder"):
@@ -87,7 +87,7 @@ def train_autoencoder(
         trained = train(task, optimisation, seed, "autoencoder", work, report)
     trained.fit_statistics(some.to(device))
     save_autoencoder(out, trained, torch.float16)
-    (work / "state.pt").unlink()
+    finish(work)
 
 
 def train_prior(
@@ -107,7 +107,7 @@ def train_prior(
     from geoevs.generator.diffusion import Diffusion
     from geoevs.generator.pretraining import PriorTask, read_images
     from geoevs.generator.prior import load_autoencoder, save_denoiser
-    from geoevs.training import Optimisation, seeded, train
+    from geoevs.training import Optimisation, finish, seeded, train
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
@@ -117,4 +117,4 @@ def train_prior(
     with training_bar(f"prior on {len(images)} images", steps) as report:
         trained = train(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
     save_denoiser(out, trained, Diffusion(), torch.float16)
-    (work / "state.pt").unlink()
+    finish(work)

@@ -15,6 +15,7 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
+    EVERYTHING = ("tables", "breakdowns", "conditions")
     SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:
@@ -55,5 +56,5 @@ def smoke_run(tmp_path_factory):
     workspace = Workspace(tmp_path_factory.mktemp("smoke"))
     overlay = workspace.folder / "failing.yaml"
     overlay.write_text("methods: {external: {options: {folder: nowhere}}}\n")
-    run = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    run = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "--", *workspace.EVERYTHING)
     return workspace, run

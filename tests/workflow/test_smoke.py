@@ -15,7 +15,7 @@ CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-
 # Everything but timings, which no two runs share.
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
-    *("masks", "depths", "geometry", "trained"),
+    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "trained"),
 )
 UNSTABLE = {
     "costs.csv",
@@ -104,8 +104,7 @@ def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
 
 def test_a_second_call_has_nothing_to_do(smoke_run):
     workspace, _ = smoke_run
-    targets = ("-n", "--", "tables", "breakdowns")
-    again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", *targets)
+    again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "-n", "--", *workspace.EVERYTHING)
     assert "Nothing to be done" in again.stdout + again.stderr
 
 
@@ -123,7 +122,7 @@ def test_another_bootstrap_remakes_tables_alone(smoke_run):
 def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     finished, _ = smoke_run
     (workspace.folder / "failing.yaml").symlink_to(finished.folder / "failing.yaml")
-    arguments = (*workspace.SMOKE, "failing.yaml", "--", "tables", "breakdowns")
+    arguments = (*workspace.SMOKE, "failing.yaml", "--", *workspace.EVERYTHING)
     moments = random.Random(0)
     for _ in range(3):
         process = workspace.start(*arguments)
