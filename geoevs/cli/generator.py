@@ -7,6 +7,7 @@ import typer
 
 from geoevs.cli.arguments import parse_json
 from geoevs.cli.progress import training_bar
+from geoevs.errors import GeoEvsError
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Work = Annotated[
@@ -41,8 +42,14 @@ def train(
     from geoevs.conditions.pairs import read_pairs
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
+    from geoevs.plugins import check_options
+    from geoevs.training import finish
 
-    wanted = TrainingSettings(**parse_json("--settings", settings))
+    parsed = parse_json("--settings", settings)
+    check_options("--settings", TrainingSettings, parsed)
+    wanted = TrainingSettings(**parsed)
+    if geometry_weights is not None and not geometry_weights.is_file():
+        raise GeoEvsError(f"{geometry_weights} is missing; make or copy it there")
     data = read_pairs(pairs)
     with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
         generator = train_geo_evs(wanted, data, read_masks(library), weights, seed, work, report)
@@ -51,6 +58,7 @@ def train(
         if geometry_weights is not None:
             link_file(geometry_weights, partial / "geometry.safetensors")
         write_json(partial / "settings.json", {"geometry": geometry, "sampling": wanted.sampling})
+    finish(work)
 
 
 def train_autoencoder(
@@ -69,7 +77,7 @@ def train_autoencoder(
     from geoevs.generator.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
     from geoevs.generator.pretraining import AutoencoderTask, read_images
     from geoevs.generator.prior import save_autoencoder
-    from geoevs.training import Optimisation, seeded, train
+    from geoevs.training import Optimisation, finish, seeded, train
 
     images = read_images(scenes)
     with seeded(seed, "autoencoder"):
@@ -85,6 +93,7 @@ def train_autoencoder(
         trained = train(task, optimisation, seed, "autoencoder", work, report)
     trained.fit_statistics(some.to(device))
     save_autoencoder(out, trained, torch.float16)
+    finish(work)
 
 
 def train_prior(
@@ -104,7 +113,7 @@ def train_prior(
     from geoevs.generator.diffusion import Diffusion
     from geoevs.generator.pretraining import PriorTask, read_images
     from geoevs.generator.prior import load_autoencoder, save_denoiser
-    from geoevs.training import Optimisation, seeded, train
+    from geoevs.training import Optimisation, finish, seeded, train
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
@@ -114,3 +123,4 @@ def train_prior(
     with training_bar(f"prior on {len(images)} images", steps) as report:
         trained = train(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
     save_denoiser(out, trained, Diffusion(), torch.float16)
+    finish(work)

@@ -36,7 +36,7 @@ def options(
 
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
-    for commands in ("stages", "conditions", "generator", "outcomes", "adapters", "generator"):
+    for commands in ("stages", "conditions", "generator", "outcomes", "adapters"):
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
     try:
         app()
