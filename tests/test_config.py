@@ -39,6 +39,22 @@ tables:
 geometry: {model: lidar}
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
+weights: somewhere
+training:
+  prior: nano
+  prediction: null
+  schedule: null
+  steps: 5
+  batch: 2
+  learning_rate: 0.001
+  drop: 0.1
+  encoder: trained
+  validity: true
+  weighting: uniform
+  masks: reprojected
+  probability: 0.4
+  sampling: {steps: 2}
+  variants: {v3: {}}
 """
 
 
@@ -76,7 +92,7 @@ def test_a_valid_config_passes(check):
     check("seed: 3", "seed: 4")
 
 
-@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset"])
+@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset", "paper"])
 def test_the_shipped_configs_pass(overlay):
     files = [PROJECT / "config.yaml"]
     if overlay:
