@@ -52,17 +52,23 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def link_file(source: Path, path: Path) -> None:
-    """Give `source` a second name, or copy it where the file system cannot.
+    """Give `source` a second name, or copy it where the file system cannot; whole or not at all.
 
     Raises:
-        GeoEvsError: the disk is full or the folder is read-only.
+        GeoEvsError: `source` is missing, the disk is full or the folder is read-only.
     """
+    source, path = Path(source), Path(path)
+    if not source.is_file():
+        raise GeoEvsError(f"{source} is missing; make or copy it there")
     with _explain_write_failure(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(source, path)
-        except OSError:  # another device, or one without links
-            shutil.copyfile(source, path)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+            temporary = Path(folder) / path.name
+            try:
+                os.link(source, temporary)
+            except OSError:  # another device, or one without links
+                shutil.copyfile(source, temporary)
+            os.replace(temporary, path)
 
 
 def write_text(path: Path, text: str) -> None:

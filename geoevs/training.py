@@ -242,7 +242,7 @@ class _TrainingState:
 
 def _check_finite(what: str, value: Tensor) -> None:
     if not bool(torch.isfinite(value)):
-        raise FloatingPointError(f"{what} is {float(value)}")
+        raise FloatingPointError(f"{what} is {value.item()}")
 
 
 @contextmanager

@@ -93,7 +93,7 @@ def test_a_valid_config_passes(check):
     check("seed: 3", "seed: 4")
 
 
-@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset"])
+@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset", "paper"])
 def test_the_shipped_configs_pass(overlay):
     files = [PROJECT / "config.yaml"]
     if overlay:

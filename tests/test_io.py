@@ -16,6 +16,7 @@ from geoevs import io
 from geoevs.errors import GeoEvsError
 from geoevs.io import (
     encode_png,
+    link_file,
     new_folder,
     read_arrays,
     read_image,
@@ -294,3 +295,61 @@ def test_what_a_killed_process_left_is_cleared(tmp_path):
     with new_folder(tmp_path / "model") as partial:
         (partial / "whole").write_text("written")
     assert sorted(path.name for path in tmp_path.iterdir()) == [".model.v2~z", "model"]
+
+
+def test_a_linked_file_takes_no_room(tmp_path):
+    source, path = tmp_path / "source", tmp_path / "deep/er/path"
+    source.write_text("text")
+    link_file(source, path)
+    assert path.read_text() == "text"
+    assert path.stat().st_ino == source.stat().st_ino
+    link_file(source, path)
+    assert [file.name for file in path.parent.iterdir()] == ["path"]
+
+
+def test_where_there_are_no_links_a_file_is_copied(tmp_path, monkeypatch):
+    source, path = tmp_path / "source", tmp_path / "path"
+    source.write_text("text")
+
+    def refuse(*names):
+        raise OSError(errno.EXDEV, "another device")
+
+    monkeypatch.setattr(os, "link", refuse)
+    link_file(source, path)
+    assert path.read_text() == "text"
+    assert path.stat().st_ino != source.stat().st_ino
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_linking_over_a_link_leaves_what_it_was_linked_to(tmp_path, monkeypatch, linked):
+    first, second, path = (tmp_path / name for name in ("first", "second", "path"))
+    first.write_text("first")
+    second.write_text("second")
+    link_file(first, path)
+    if not linked:
+        monkeypatch.setattr(os, "link", lambda *names: (_ for _ in ()).throw(OSError()))
+    link_file(second, path)
+    assert (first.read_text(), path.read_text()) == ("first", "second")
+
+
+def test_a_copy_that_breaks_off_leaves_the_file_that_was_there(tmp_path, monkeypatch):
+    source, path = tmp_path / "source", tmp_path / "path"
+    source.write_text("new")
+    path.write_text("old")
+
+    def break_off(source, target):
+        Path(target).write_text("n")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "link", lambda *names: (_ for _ in ()).throw(OSError()))
+    monkeypatch.setattr(shutil, "copyfile", break_off)
+    with pytest.raises(GeoEvsError, match=f"^cannot write {path} .No space left on device"):
+        link_file(source, path)
+    assert path.read_text() == "old"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["path", "source"]
+
+
+def test_a_link_to_nothing_is_one_sentence(tmp_path):
+    source = tmp_path / "none"
+    with pytest.raises(GeoEvsError, match=f"^{source} is missing; make or copy it there$"):
+        link_file(source, tmp_path / "path")

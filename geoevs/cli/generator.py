@@ -7,6 +7,7 @@ import typer
 
 from geoevs.cli.arguments import parse_json
 from geoevs.cli.progress import training_bar
+from geoevs.errors import GeoEvsError
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Work = Annotated[
@@ -41,9 +42,14 @@ def train(
     from geoevs.conditions.pairs import read_pairs
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
+    from geoevs.plugins import check_options
     from geoevs.training import finish
 
-    wanted = TrainingSettings(**parse_json("--settings", settings))
+    parsed = parse_json("--settings", settings)
+    check_options("--settings", TrainingSettings, parsed)
+    wanted = TrainingSettings(**parsed)
+    if geometry_weights is not None and not geometry_weights.is_file():
+        raise GeoEvsError(f"{geometry_weights} is missing; make or copy it there")
     data = read_pairs(pairs)
     with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
         generator = train_geo_evs(wanted, data, read_masks(library), weights, seed, work, report)

@@ -66,7 +66,8 @@ def save_autoencoder(
 def load_autoencoder(path: Path) -> Autoencoder:
     """Read what `save_autoencoder` wrote."""
     settings, weights = _read(path, {"block", "network"})
-    autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
+    with torch.device("meta"):  # random weights would be made in vain
+        autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
     load_weights(autoencoder, weights, path, REMAKE)
     return autoencoder.eval()
 
@@ -95,9 +96,10 @@ def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffu
     encoder = settings["encoder"]
     if encoder == "frozen":
         encoder = FrozenEncoder(autoencoder)
-    elif encoder is not None:
-        encoder = ConditionEncoder(**encoder)
-    denoiser = Denoiser(UNet2DConditionModel.from_config(settings["unet"]), encoder)
+    with torch.device("meta"):  # random weights would be made in vain
+        if isinstance(encoder, dict):
+            encoder = ConditionEncoder(**encoder)
+        denoiser = Denoiser(UNet2DConditionModel.from_config(settings["unet"]), encoder)
     load_weights(denoiser, weights, path, REMAKE)
     return denoiser.eval(), Diffusion(**settings["diffusion"])
 

@@ -49,12 +49,6 @@ def test_sky_is_far(tiny, tmp_path):
     assert np.all(found[20:] == 5)
 
 
-def test_other_frames_are_another_training(tiny, tiny_depths):
-    lidar, dense = (read_depth_frames([tiny.folder], depths) for depths in ([], [tiny_depths]))
-    assert lidar.digest() == read_depth_frames([tiny.folder], []).digest()
-    assert lidar.digest() != dense.digest()
-
-
 def test_truth_is_for_every_scene_or_none(tiny, tiny_depths):
     with pytest.raises(GeoEvsError, match=r"^there are 2 scenes and 1 folders of true depth; give"):
         read_depth_frames([tiny.folder] * 2, [tiny_depths])

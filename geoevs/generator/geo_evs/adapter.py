@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from geoevs.generator.generator import Generator, Sampling
 
 # torch is imported where networks are made: configs are checked without one.
+
+SAMPLING_OPTIONS = ("steps", "guidance", "sampler", "average")
 
 
 @dataclass
@@ -43,17 +45,15 @@ class Method:
     average: int | None = None
     _lifted: LiftedViews = field(init=False)
     _generator: "Generator" = field(init=False)
+    _sampling: "Sampling" = field(init=False)
     _seed: int = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Estimate the depth of every source view; the networks were trained before."""
-        from geoevs.generator.generator import Generator
-
-        settings = read_json(Path(self.weights) / "settings.json")
+        settings = self._load_trained()
         geometry = Path(self.weights) / "geometry.safetensors"
         model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
         self._lifted = LiftedViews.make(views, model)
-        self._generator = Generator.load(Path(self.weights))
         self._seed = int(rng.numpy.integers(2**31))
         networks = self._generator.autoencoder, self._generator.denoiser
         parameters = sum(p.numel() for network in networks for p in network.parameters())
@@ -81,9 +81,9 @@ class Method:
         image = condition.image.astype(np.float32)
         # The view's own noise, whatever was rendered before; the same for every variant.
         random = Rng(self._seed, camera.name, str(frame)).torch
-        generated = self._generator.generate(
-            image[None], condition.mask[None], self._sampling(), random
-        )[0]
+        (generated,) = self._generator.generate(
+            image[None], condition.mask[None], self._sampling, random
+        )
         rgb = self._finish(generated, image, condition.mask)
         return Rendering(rgb, condition.depth, condition.mask)
 
@@ -93,12 +93,16 @@ class Method:
         """What is shown of the generated image."""
         return generated
 
-    def _sampling(self) -> "Sampling":
-        from geoevs.generator.generator import Sampling
+    def _load_trained(self) -> dict[str, Any]:
+        """Read the networks, and how they sample; the settings of their training."""
+        from geoevs.generator.generator import Generator, Sampling
 
-        trained = read_json(Path(self.weights) / "settings.json")["sampling"]
-        asked = {name: getattr(self, name) for name in trained}
-        return Sampling(**{k: trained[k] if v is None else v for k, v in asked.items()})
+        settings = read_json(Path(self.weights) / "settings.json")
+        asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
+        asked = {name: value for name, value in asked.items() if value is not None}
+        self._sampling = Sampling(**settings["sampling"] | asked)
+        self._generator = Generator.load(Path(self.weights))
+        return settings
 
     def save(self, folder: Path) -> None:
         """Write the views and depths; link the weights, which many scenes share."""
@@ -106,20 +110,16 @@ class Method:
         for path in Path(self.weights).iterdir():
             if path.is_file():
                 link_file(path, folder / "weights" / path.name)
-        options = {
-            name: getattr(self, name) for name in ("steps", "guidance", "sampler", "average")
-        }
+        options = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         write_json(folder / "options.json", {**options, "seed": self._seed})
 
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
-        from geoevs.generator.generator import Generator
-
         options = read_json(folder / "options.json")
         seed = options.pop("seed")
         method = cls(str(folder / "weights"), **options)
+        method._load_trained()
         method._lifted = LiftedViews.load(folder)
-        method._generator = Generator.load(folder / "weights")
         method._seed = seed
         return method

@@ -1,0 +1,147 @@
+"""`geoevs train`, `train-autoencoder` and `train-prior`."""
+
+import json
+import sys
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from geoevs.cli import main as cli
+from geoevs.conditions.masks import write_masks
+from geoevs.conditions.pairs import write_pairs
+from geoevs.generator import autoencoder as autoencoders
+from geoevs.generator import denoiser as denoisers
+from geoevs.generator.generator import Generator
+from geoevs.generator.prior import load_prior
+from geoevs.generator.training import TrainingSettings
+from geoevs.io import read_json
+from geoevs.network_files import read_network
+from geoevs.scenes.tiny import write_tiny_scene
+
+SETTINGS = asdict(
+    TrainingSettings(
+        prior="nano",
+        prediction=None,
+        schedule=None,
+        steps=3,
+        batch=2,
+        learning_rate=1e-3,
+        drop=0.1,
+        encoder="trained",
+        validity=True,
+        weighting="uniform",
+        masks="reprojected",
+        probability=0.4,
+        sampling={"steps": 2, "guidance": 1.5},
+    )
+)
+
+
+@pytest.fixture
+def geoevs(monkeypatch, capsys):
+    """Runs a command; gives exit code and standard error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(cli, "_log", None)
+        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        return code, capsys.readouterr().err
+
+    return run
+
+
+@pytest.fixture
+def train(geoevs, pairs, library, weights, tmp_path):
+    write_pairs(tmp_path / "pairs.npz", pairs)
+    write_masks(tmp_path / "library.npz", library)
+
+    def run(*arguments, **changed):
+        settings = json.dumps(SETTINGS | changed)
+        files = ["--pairs", tmp_path / "pairs.npz", "--library", tmp_path / "library.npz"]
+        folders = ["--weights", weights, "--work", tmp_path / "work", "--out", tmp_path / "out"]
+        return geoevs(
+            *("train", *files, *folders, "--settings", settings, "--geometry", "lidar", *arguments)
+        )
+
+    return run
+
+
+def test_training_writes_all_that_renders_need(train, tmp_path):
+    geometry = tmp_path / "vggt.safetensors"
+    geometry.write_bytes(b"weights")
+    assert train("--geometry-weights", geometry) == (0, "")
+    out = tmp_path / "out"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "autoencoder.safetensors",
+        "denoiser.safetensors",
+        "geometry.safetensors",
+        "settings.json",
+    ]
+    assert read_json(out / "settings.json") == {
+        "geometry": "lidar",
+        "sampling": {"steps": 2, "guidance": 1.5},
+    }
+    assert (out / "geometry.safetensors").read_bytes() == b"weights"
+    assert Generator.load(out).autoencoder.factor == 2
+    # Finished, it leaves nothing that changed code could take up.
+    assert sorted(path.name for path in (tmp_path / "work").iterdir()) == ["losses.csv", "previews"]
+
+
+def test_the_same_seed_trains_the_same_bytes(train, tmp_path):
+    files = []
+    for seed in (0, 0, 1):
+        assert train("--seed", seed)[0] == 0
+        files.append((tmp_path / "out/denoiser.safetensors").read_bytes())
+    assert files[0] == files[1]
+    assert files[0] != files[2]
+
+
+def test_mistakes_are_one_sentence_before_anything_is_trained(train, tmp_path, weights):
+    code, error = train(stepps=3)
+    assert code == 1
+    assert error.startswith("error: --settings has no option 'stepps'; did you mean 'steps'?")
+    missing = tmp_path / "none"
+    sentence = f"error: {missing} is missing; make or copy it there\n"
+    assert train("--geometry-weights", missing) == (1, sentence)
+    code, error = train(masks="box")
+    assert error.startswith("error: there is no artifact injection 'box'; did you mean 'boxes'?")
+    (weights / "prior.safetensors").unlink()
+    code, error = train()
+    assert error.startswith(f"error: {weights / 'prior.safetensors'} is missing; make it again")
+    assert not (tmp_path / "work").exists()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_diverged_training_leaves_no_result(train, tmp_path):
+    code, error = train(learning_rate=1e30)
+    assert code == 1
+    assert " is nan at step " in error or " is inf at step " in error
+    assert "whose batch is scene-" in error
+    assert f"the last good weights are in {tmp_path / 'work/state.pt'}" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_autoencoder_and_prior_are_what_a_training_starts_from(
+    geoevs, networks, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(autoencoders, "nano_autoencoder", lambda: networks.network(48))
+    monkeypatch.setattr(denoisers, "nano_unet", networks.unet)
+    scene = write_tiny_scene(tmp_path / "scene").folder
+    shared = ["--scenes", scene, "--steps", 2, "--batch", 2, "--learning-rate", 1e-3]
+    autoencoder, prior = (tmp_path / f"{name}.safetensors" for name in ("autoencoder", "prior"))
+    arguments = [*shared, "--work", tmp_path / "a", "--out", autoencoder, "--crop", 16]
+    assert geoevs("train-autoencoder", *arguments) == (0, "")
+    arguments = [*shared, "--work", tmp_path / "p", "--out", prior, "--autoencoder", autoencoder]
+    assert geoevs("train-prior", *arguments) == (0, "")
+    for file in (autoencoder, prior):
+        assert {value.dtype for value in read_network(file)[1].values()} == {torch.float16}
+    assert load_prior("nano", tmp_path).autoencoder.factor == 4
+    for work in ("a", "p"):
+        assert not (tmp_path / work / "state.pt").exists()
+        assert (tmp_path / work / "losses.csv").read_text().count("\n") == 3

@@ -1,0 +1,143 @@
+"""Trainings in the config: what an entrant takes, what a variant is, and mistakes in either."""
+
+import copy
+from pathlib import Path
+
+import pytest
+import yaml
+
+from geoevs.config import check_config, method_entries, training_settings
+from geoevs.errors import GeoEvsError
+
+PROJECT = Path(__file__).parents[1]
+SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
+
+
+def merge(base, over):
+    """As Snakemake puts configs together: deeply, the later one winning."""
+    merged = copy.deepcopy(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = merge(merged[key], value) if both else copy.deepcopy(value)
+    return merged
+
+
+@pytest.fixture
+def check(tmp_path):
+    """Checks the default config under an overlay; gives what they make together."""
+
+    def run(overlay=""):
+        path = tmp_path / "over.yaml"
+        path.write_text(overlay)
+        base = PROJECT / "config.yaml"
+        config = merge(yaml.safe_load(base.read_text()), yaml.safe_load(overlay) or {})
+        check_config(config, SCHEMA, [base, path])
+        return config
+
+    return run
+
+
+MISTAKES = {
+    "an unknown training": (
+        "methods: {geo-evs: {training: v4}}",
+        "over.yaml:1: there is no training 'v4' under 'training.variants'; did you mean 'v",
+    ),
+    "a trained method without a training": (
+        "methods:\n  geo-evs.mine: {}",
+        "over.yaml:2: method 'geo-evs.mine' is trained before it is fitted; name one under "
+        "'training' (v1, v2, ",
+    ),
+    "a training for a method that has none": (
+        "methods: {reproject: {training: v3}}",
+        "over.yaml:1: method 'reproject' is not trained; remove 'training'",
+    ),
+    "a training for a control": (
+        "methods: {truth: {training: v3}}",
+        "over.yaml:1: method 'truth' is not trained; remove 'training'",
+    ),
+    "an option that a trained method has not": (
+        "methods: {geo-evs: {options: {stepps: 3}}}",
+        "over.yaml:1: method 'geo-evs' has no option 'stepps'; did you mean 'steps'?",
+    ),
+    "an unknown key": (
+        "training:\n  learning_rat: 1",
+        "over.yaml:2: 'learning_rat' is not a known key; did you mean 'learning_rate'?",
+    ),
+    "an unknown key of a variant": (
+        "training: {variants: {v1: {mask: none}}}",
+        "over.yaml:1: 'mask' is not a known key; did you mean 'masks'?",
+    ),
+    "an unknown kind of masks": (
+        "training: {variants: {v1: {masks: box}}}",
+        "over.yaml:1: 'training.variants.v1.masks' is wrong: 'box' is not one of ['none', ",
+    ),
+    "an unknown sampler": (
+        "training: {sampling: {sampler: ddpm}}",
+        "over.yaml:1: 'training.sampling.sampler' is wrong: 'ddpm' is not one of ['ddim', ",
+    ),
+    "a probability above one": (
+        "training: {probability: 1.5}",
+        "over.yaml:1: 'training.probability' is wrong: 1.5 is greater than the maximum of 1 "
+        "(it means: The paper's p: ",
+    ),
+    "no steps": ("training: {steps: 0}", "over.yaml:1: 'training.steps' is wrong: 0 is less"),
+    "a variant that is a path": (
+        "training: {variants: {../v1: {}}}",
+        "over.yaml:1: '../v1' is not an allowed name; use lower case and hyphens",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_is_one_sentence_with_its_line(check, tmp_path, kind):
+    overlay, sentence = MISTAKES[kind]
+    with pytest.raises(GeoEvsError) as caught:
+        check(overlay)
+    assert str(caught.value).startswith(f"{tmp_path}/{sentence}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_trained_method_needs_training_scenes(check):
+    config = yaml.safe_load((PROJECT / "config.yaml").read_text())
+    none = {name: {"partitions": {"train": []}} for name in config["datasets"]}
+    with pytest.raises(GeoEvsError, match=r"method 'geo-evs' is trained, but no data set has sce"):
+        check(yaml.safe_dump({"datasets": none}))
+    untrained = dict.fromkeys(m for m in config["methods"] if m.startswith("geo-evs"))
+    check(yaml.safe_dump({"datasets": none, "methods": untrained}))
+
+
+def test_a_variant_is_what_differs_from_the_section(check):
+    config = check(
+        "training:\n"
+        "  sampling: {steps: 8, guidance: 1.5}\n"
+        "  variants: {mine: {masks: boxes, sampling: {guidance: 3.0}}}\n"
+    )
+    shared = {name: value for name, value in config["training"].items() if name != "variants"}
+    mine = training_settings(config, "mine")
+    sampling = shared["sampling"] | {"guidance": 3.0}
+    assert mine == shared | {"masks": "boxes", "sampling": sampling}
+    assert training_settings(config, "v3") == shared
+    assert "variants" not in mine
+
+
+def test_entrants_know_their_training_and_seed(check):
+    config = check("methods: {geo-evs: {training: v3, seeds: [0, 2]}}\nseed: 5")
+    found = [
+        (entry.training, entry.seed)
+        for entry in method_entries(config)
+        if (entry.method, entry.variant) == ("geo-evs", "default")
+    ]
+    assert found == [("v3", 5), ("v3", 7)]
+
+
+def test_the_papers_scale_is_the_papers(check):
+    config = check((PROJECT / "workflow/scales/paper.yaml").read_text())
+    settings = training_settings(config, "v3")
+    sampling = settings["sampling"]
+    assert config["resolution"] == [512, 512]
+    assert config["geometry"]["model"] == "vggt-1b"
+    assert settings["prediction"] == "epsilon"
+    assert settings["learning_rate"] == 1e-4
+    assert (settings["masks"], settings["probability"]) == ("reprojected", 0.4)
+    assert settings["validity"] is False
+    assert (sampling["steps"], sampling["guidance"]) == (30, 1.5)
