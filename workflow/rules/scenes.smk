@@ -9,7 +9,6 @@ rule scene:
         in_run("logs/scene/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/scene/{dataset}/{scene}.tsv")
-    threads: workflow.cores
     params:
         scene=scene_arguments,
         code=source_code,
@@ -27,7 +26,6 @@ rule truth:
         in_run("logs/truth/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/truth/{dataset}/{scene}.tsv")
-    threads: workflow.cores
     params:
         scene=scene_arguments,
         code=source_code,
