@@ -41,6 +41,7 @@ def test_pairs_and_masks_are_of_every_data_sets_training_scenes(workspace):
 def test_a_run_without_training_scenes_says_what_to_name(workspace):
     (workspace.folder / "none.yaml").write_text(
         "datasets: {street-train: {partitions: {train: []}}}\n"
+        "methods: {geo-evs: null, geo-evs.v1: null, geo-evs-support: null}\n"
     )
     library = "results/smoke/artifact-masks/library.npz"
     run = workspace.snakemake(*workspace.SMOKE, "none.yaml", "--", library)

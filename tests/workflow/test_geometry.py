@@ -89,7 +89,8 @@ def test_lidar_needs_no_network(workspace):
     text = made.stdout + made.stderr
     assert "--model lidar" in text
     assert "--pretrained" not in text
-    assert "--weights" not in text
+    assert "--geometry-weights" not in text
+    assert not re.search(r"point-maps .* --weights", text)
 
 
 def test_other_starting_weights_fine_tune_again(smoke_run, tmp_path):
