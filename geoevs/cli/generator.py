@@ -1,5 +1,6 @@
 """Training the generator as commands: its pretraining, and Geo-EVS itself."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -37,9 +38,14 @@ def train(
     geometry_weights: Annotated[Path | None, typer.Option(help="Its weights, if any.")] = None,
     seed: Seed = 0,
 ) -> None:
-    """Train Geo-EVS on condition-target pairs, with artifact masks."""
+    """Train Geo-EVS on condition-target pairs, with artifact masks.
+
+    A failure is written down, not raised: methods that take these weights fail with its reason, and
+    the others go on.
+    """
     from geoevs.conditions.masks import read_masks
     from geoevs.conditions.pairs import read_pairs
+    from geoevs.generator.generator import FAILURE_FILE
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
     from geoevs.plugins import check_options
@@ -51,8 +57,16 @@ def train(
     if geometry_weights is not None and not geometry_weights.is_file():
         raise GeoEvsError(f"{geometry_weights} is missing; make or copy it there")
     data = read_pairs(pairs)
-    with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
-        generator = train_geo_evs(wanted, data, read_masks(library), weights, seed, work, report)
+    try:
+        with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
+            generator = train_geo_evs(
+                wanted, data, read_masks(library), weights, seed, work, report
+            )
+    except GeoEvsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        with new_folder(out) as partial:
+            write_json(partial / FAILURE_FILE, {"reason": str(error)})
+        return
     with new_folder(out) as partial:
         generator.save(partial)
         if geometry_weights is not None:

@@ -22,6 +22,8 @@ from geoevs.generator.prior import (
 from geoevs.training import mixed_precision
 
 DENOISER_FILE = "denoiser.safetensors"
+FAILURE_FILE = "failure.json"
+"""In place of networks: why their training failed."""
 
 
 @dataclass(frozen=True)

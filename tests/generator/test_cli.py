@@ -7,9 +7,11 @@ from dataclasses import asdict
 import pytest
 import torch
 
+from geoevs.adapter import Budget, Rng, make_method
 from geoevs.cli import main as cli
 from geoevs.conditions.masks import write_masks
 from geoevs.conditions.pairs import write_pairs
+from geoevs.errors import GeoEvsError
 from geoevs.generator import autoencoder as autoencoders
 from geoevs.generator import denoiser as denoisers
 from geoevs.generator.generator import Generator
@@ -108,23 +110,32 @@ def test_mistakes_are_one_sentence_before_anything_is_trained(train, tmp_path, w
     missing = tmp_path / "none"
     sentence = f"error: {missing} is missing; make or copy it there\n"
     assert train("--geometry-weights", missing) == (1, sentence)
-    code, error = train(masks="box")
-    assert error.startswith("error: there is no artifact injection 'box'; did you mean 'boxes'?")
-    (weights / "prior.safetensors").unlink()
-    code, error = train()
-    assert error.startswith(f"error: {weights / 'prior.safetensors'} is missing; make it again")
     assert not (tmp_path / "work").exists()
     assert not (tmp_path / "out").exists()
 
 
-def test_a_diverged_training_leaves_no_result(train, tmp_path):
+def test_a_failed_training_is_written_down_for_the_methods_that_take_it(train, tmp_path, weights):
+    code, error = train(masks="box")
+    assert code == 0
+    assert error.startswith("error: there is no artifact injection 'box'; did you mean 'boxes'?")
+    (weights / "prior.safetensors").unlink()
+    code, error = train()
+    assert code == 0
+    assert error.startswith(f"error: {weights / 'prior.safetensors'} is missing; make it again")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["failure.json"]
+    with pytest.raises(GeoEvsError, match=r"^its training failed: .*prior.safetensors is missing"):
+        make_method("geo-evs", {"weights": str(tmp_path / "out")}).fit(None, Budget(), Rng(0))
+
+
+def test_a_diverged_training_keeps_its_last_good_weights(train, tmp_path):
     code, error = train(learning_rate=1e30)
-    assert code == 1
+    assert code == 0
     assert " is nan at step " in error or " is inf at step " in error
     assert "whose batch is scene-" in error
     assert f"the last good weights are in {tmp_path / 'work/state.pt'}" in error
     assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    assert f"error: {read_json(tmp_path / 'out/failure.json')['reason']}\n" == error
+    assert (tmp_path / "work/state.pt").exists()
 
 
 def test_autoencoder_and_prior_are_what_a_training_starts_from(

@@ -95,8 +95,11 @@ class Method:
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample; the settings of their training."""
-        from geoevs.generator.generator import Generator, Sampling
+        from geoevs.generator.generator import FAILURE_FILE, Generator, Sampling
 
+        failure = Path(self.weights) / FAILURE_FILE
+        if failure.exists():
+            raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
         settings = read_json(Path(self.weights) / "settings.json")
         asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         asked = {name: value for name, value in asked.items() if value is not None}
