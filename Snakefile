@@ -23,6 +23,7 @@ include: "workflow/rules/targets.smk"
 include: "workflow/rules/baselines.smk"
 include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
+include: "workflow/rules/charts.smk"
 include: "workflow/rules/pretrain.smk"
 
 
@@ -31,6 +32,7 @@ rule all:
     input:
         rules.tables.input,
         rules.breakdowns.input,
+        rules.charts.input,
 
 
 onsuccess:

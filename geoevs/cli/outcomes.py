@@ -19,7 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         *(collect, table, ablation_table, cost_table, geometry_table),
-        *(grid, manifest, install_weights, failures),
+        *(grid, chart, manifest, install_weights, failures),
     ):
         app.command()(command)
 
@@ -117,6 +117,28 @@ def grid(
     pairs = scene_pairs(scenes)
     shares = parse_json("--keeps", keeps, list)
     write_bytes(out, table_grid(name, run, pairs, labels, shares))
+
+
+def chart(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
+) -> None:
+    """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
+    from geoevs.io import write_bytes, write_text
+    from geoevs.results.charts import (
+        chart_html,
+        chart_png,
+        speed_accuracy,
+        speed_accuracy_chart,
+    )
+
+    table = speed_accuracy(_rows(scores), _rows(costs), parse_json("--settings", settings))
+    drawn = speed_accuracy_chart(table)
+    write_text(out.with_suffix(".csv"), table.to_csv(index=False))
+    write_bytes(out.with_suffix(".png"), chart_png(drawn))
+    write_text(out.with_suffix(".html"), chart_html(drawn))
 
 
 def manifest(
