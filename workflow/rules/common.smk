@@ -198,3 +198,13 @@ def training_arguments(settings):
         f"--steps {settings['steps']} --batch {settings['batch']} "
         f"--learning-rate {settings['learning_rate']} --seed {config['seed']}"
     )
+
+
+def pretrained(network):
+    """Where a new network is written."""
+    return in_run(layout.PRETRAINED).format(weights=network)
+
+
+def pretraining_work(network):
+    """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
+    return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
