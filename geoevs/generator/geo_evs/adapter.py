@@ -1,5 +1,6 @@
 """Geo-EVS: lift the frame by its geometry, project it into the target, generate the image."""
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -74,9 +75,11 @@ class Method:
 
     def _render(self, condition: Raster, camera: Camera, frame: int) -> Rendering:
         if not condition.mask.any():
-            raise GeoEvsError(
-                f"the condition map of '{camera.name}' in frame {frame} has no valid pixel; choose "
-                "a target that some source camera overlaps"
+            # PandaSet's back camera has no LiDAR: one such view must not fail all others.
+            warnings.warn(
+                f"the condition map of '{camera.name}' in frame {frame} has no valid pixel, so its "
+                "picture is the prior's alone; choose targets that some lifted view overlaps",
+                stacklevel=2,
             )
         image = condition.image.astype(np.float32)
         # The view's own noise, whatever was rendered before; the same for every variant.
