@@ -302,7 +302,7 @@ def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any
 def _check_training(config: Mapping[str, Any], entry: MethodEntry, name: str) -> None:
     """Methods that are trained name a training, others none; it needs scenes."""
     variants = config["training"]["variants"]
-    trained = entry.method not in ORACLES and "training" in _needs(entry.method)
+    trained = entry.method not in ORACLES and "training" in _needs(entry)
     if trained and not entry.training:
         raise GeoEvsError(
             f"method '{name}' is trained before it is fitted; name one under 'training' "
@@ -324,8 +324,14 @@ def _check_training(config: Mapping[str, Any], entry: MethodEntry, name: str) ->
         )
 
 
-def _needs(method: str) -> tuple[str, ...]:
-    return _imported(method).info.needs
+def _needs(entry: MethodEntry) -> tuple[str, ...]:
+    """What a method declares; one that cannot be imported says so in rows of its own, as ever."""
+    if entry.training or entry.options:
+        return _imported(entry.method).info.needs
+    try:
+        return method_class(entry.method).info.needs
+    except Exception:  # a method's module may raise anything
+        return ()
 
 
 def _imported(method: str) -> type:

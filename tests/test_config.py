@@ -313,6 +313,13 @@ def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
         check("reference: {}", "needy: {options: {a: 1}}")
 
 
+def test_a_method_that_cannot_be_imported_fails_alone(check, tmp_path, monkeypatch):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken/adapter.py").write_text("raise ValueError('half written')\n")
+    monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
+    check("reference: {}", "broken: {}")
+
+
 def test_networks_need_scenes_or_stay_as_they_are(check):
     network = "model: lidar\n  weights: null\n  supervision: dense\n  finetune:"
     finetune = "{steps: 2, batch: 1, learning_rate: 0.001}"

@@ -186,7 +186,8 @@ class GeoEvsTask:
     def preview(self, model: nn.Module) -> np.ndarray:
         """Pairs side by side: condition with a mask of this training's kind, sample, target."""
         picked = np.linspace(0, len(self._pairs) - 1, 6).astype(int)
-        keep = self._always_injected().inject(np.random.default_rng(0), len(picked))
+        always = replace(self._injection, probability=1.0)
+        keep = always.inject(np.random.default_rng(0), len(picked))
         valid = self._pairs.valid[picked] & keep
         condition = self._pairs.rgb[picked].astype(np.float32) / 255 * valid[..., None]
         generator = Generator(self._autoencoder, model, self._diffusion)
@@ -194,10 +195,6 @@ class GeoEvsTask:
         samples = generator.generate(condition, valid, self._sampling, random)
         columns = condition, samples, self._pairs.target[picked].astype(np.float32) / 255
         return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
-
-    def _always_injected(self) -> ArtifactInjection:
-        plain = self._injection
-        return ArtifactInjection(plain.kind, 1.0, plain.height, plain.width, plain.library)
 
     @torch.no_grad()
     def _encode(self, targets: np.ndarray) -> Tensor:

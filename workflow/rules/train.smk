@@ -15,9 +15,7 @@ rule train:
         in_run("benchmarks/train/{training}.seed{seed}.tsv")
     threads: workflow.cores
     params:
-        pairs=lambda wildcards, input: " ".join(
-            f"--pairs '{path}'" for path in input.pairs
-        ),
+        pairs=lambda wildcards, input: with_option("--pairs", input.pairs),
         settings=lambda wildcards: json.dumps(
             training_settings(config, wildcards.training)
         ),
