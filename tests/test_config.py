@@ -49,7 +49,9 @@ geometry:
   supervision: dense
   finetune: {steps: 2, batch: 1, learning_rate: 0.001}
 weights: somewhere
-pretrain: {vggt-nano: &o {steps: 3, batch: 2, learning_rate: 0.01}, autoencoder: *o, prior: *o}
+pretrain:
+  {vggt-nano: &o {steps: 3, batch: 2, learning_rate: 0.01}, depth-refiner: *o, autoencoder: *o,
+  prior: *o}
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
 training:
@@ -233,7 +235,7 @@ MISTAKES = {
     "no pretraining": (
         "prior: *o",
         "prior: null",
-        "33: 'pretrain.prior' is wrong: None is not of type 'object'",
+        "35: 'pretrain.prior' is wrong: None is not of type 'object'",
     ),
     "edges that fall": (
         "pose_bins: [0, 10]",
@@ -247,9 +249,9 @@ MISTAKES = {
     "a mask beyond the side camera": (
         "[0, 1], lateral",
         "[0, 1.5], lateral",
-        "35: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+        "37: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
     ),
-    "no masks": ("[-2, 2]", "[]", "35: 'conditions.masks.lateral' is wrong: [] "),
+    "no masks": ("[-2, 2]", "[]", "37: 'conditions.masks.lateral' is wrong: [] "),
     "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }

@@ -7,13 +7,14 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.progress import progress_bar, training_bar
+from geoevs.errors import GeoEvsError
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (train_geometry, score_geometry):
+    for command in (train_geometry, train_refiner, score_geometry):
         app.command()(command)
 
 
@@ -57,6 +58,49 @@ def train_geometry(
         optimisation = Optimisation(steps, learning_rate)
         trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
     save_vggt(trained, out, torch.float16 if half else torch.float32)
+    finish(work)
+
+
+def train_refiner(
+    model: Annotated[Path, typer.Option(help="VGGT weights whose depth is to be refined.")],
+    scenes: Annotated[list[Path], typer.Option(help="A scene store; repeat for more.")],
+    depths: Annotated[list[Path], typer.Option(help="Its dense true depth, once a scene.")],
+    out: Out,
+    work: Annotated[
+        Path, typer.Option(help="Its state, losses and previews; a killed training goes on.")
+    ],
+    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps.")],
+    batch: Annotated[int, typer.Option(min=1, help="Views a step.")],
+    learning_rate: Annotated[float, typer.Option(help="Peak learning rate of AdamW.")],
+    seed: Annotated[int, typer.Option(min=0, help="Decides every batch.")] = 0,
+) -> None:
+    """Train what refines a VGGT's depth by LiDAR; writes both together, as float16."""
+    import torch
+
+    from geoevs.geometry.depth_models import VggtDepth
+    from geoevs.geometry.refinement import NANO_CHANNELS, DepthRefiner
+    from geoevs.geometry.refiner_training import RefinementTask, read_refiner_views
+    from geoevs.geometry.vggt import save_vggt
+    from geoevs.training import Optimisation, finish, seeded, train
+
+    if len(scenes) != len(depths):
+        raise GeoEvsError(
+            f"there are {len(scenes)} scenes and {len(depths)} folders of true depth; give one for "
+            "each scene"
+        )
+    network = VggtDepth(model)
+    network.model.refiner = None
+    with progress_bar("depth of scenes", len(scenes)) as advance:
+        views = read_refiner_views(scenes, depths, network, advance)
+    with seeded(seed, "depth-refiner"):
+        refiner = DepthRefiner(NANO_CHANNELS)
+    refiner.to("cuda" if torch.cuda.is_available() else "cpu")
+    with training_bar(f"depth refiner on {len(views)} views", steps) as report:
+        task = RefinementTask(refiner, views, batch)
+        optimisation = Optimisation(steps, learning_rate)
+        trained = train(task, optimisation, seed, "depth-refiner", work, report)
+    network.model.set_refiner(trained, NANO_CHANNELS)
+    save_vggt(network.model, out, torch.float16)
     finish(work)
 
 

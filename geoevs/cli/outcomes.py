@@ -154,8 +154,8 @@ def manifest(
 
 
 def install_weights(
-    pretrained: Annotated[Path, typer.Argument(help="The folder of the new weights.")],
-    work: Annotated[list[str], typer.Option(help="NETWORK=FOLDER of its training; one each.")],
+    files: Annotated[list[Path], typer.Argument(help="The new weights.")],
+    work: Annotated[list[str], typer.Option(help="TRAINING=FOLDER that it worked in; one each.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     weights: Annotated[Path, typer.Option(help="The folder that trainings start from.")],
     out: Out,
@@ -165,10 +165,9 @@ def install_weights(
     from geoevs.results.manifest import make_provenance
 
     folders = dict(pair.split("=", 1) for pair in work)
-    networks = {name: pretrained / f"{name}.safetensors" for name in folders}
     losses = {name: Path(folder) / "losses.csv" for name, folder in folders.items()}
-    provenance = make_provenance(parse_json("--config", config), networks, losses)
-    for path in networks.values():
+    provenance = make_provenance(parse_json("--config", config), files, losses)
+    for path in files:
         write_bytes(weights / path.name, path.read_bytes())
     write_json(weights / "provenance.json", provenance)
     write_json(out, provenance)

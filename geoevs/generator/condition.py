@@ -5,22 +5,30 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from geoevs.generator.autoencoder import Autoencoder
+from geoevs.generator.push_pull import push_pull
 
 
 class ConditionEncoder(nn.Module):
-    """A small encoder trained with the denoiser; its first step, space-to-depth, loses nothing.
+    """A small encoder trained with the denoiser, beside the latent of the filled condition map.
+
+    The frozen autoencoder's own code of a map with black holes loses even what surrounds them; of
+    a map whose holes are filled smoothly it is the target's latent already wherever the map is
+    right. The trained part sees what was there: its first step, space-to-depth, loses nothing.
 
     Args:
-        factor: pixels per latent pixel, each way.
-        channels: of the features.
+        autoencoder: frozen, and no part of this module.
+        channels: of the trained features, which follow the latent's.
         validity: whether the mask beside the condition map is encoded too; without it holes are
             black, as in the paper, and so are some surfaces.
     """
 
-    def __init__(self, factor: int, channels: int = 24, validity: bool = True) -> None:
+    def __init__(self, autoencoder: Autoencoder, channels: int = 24, validity: bool = True) -> None:
         super().__init__()
-        self.factor, self.channels, self.validity = factor, channels, validity
-        values = (3 + validity) * factor**2
+        self._autoencoder = (autoencoder,)  # in a tuple, so that it is no part of this module
+        self.latent_channels = autoencoder.latent_channels
+        self.trained_channels, self.validity = channels, validity
+        self.channels = self.latent_channels + channels
+        values = (3 + validity) * autoencoder.factor**2
         self.layers = nn.Sequential(
             nn.Conv2d(values, 96, 1),
             nn.SiLU(),
@@ -34,16 +42,22 @@ class ConditionEncoder(nn.Module):
         condition: Tensor,  # [B, 3, H, W] in [0, 1], zero where invalid
         valid: Tensor,  # [B, 1, H, W] bool
     ) -> Tensor:
-        """[B, channels, H / factor, W / factor] features."""
+        """[B, channels, H / factor, W / factor]: latents, then trained features."""
+        (autoencoder,) = self._autoencoder
+        with torch.no_grad():
+            latent = autoencoder.encode(push_pull(condition, valid))
         shown = condition * 2 - 1
         if self.validity:
             mask = valid.to(shown.dtype)
             shown = torch.cat([shown * mask, mask], dim=1)
-        return self.layers(functional.pixel_unshuffle(shown, self.factor))
+        trained = self.layers(functional.pixel_unshuffle(shown, autoencoder.factor))
+        return torch.cat([latent.to(trained.dtype), trained], dim=1)
 
 
 class FrozenEncoder(nn.Module):
     """The other reading of E_geo: the frozen autoencoder's own code of the zero-filled map."""
+
+    latent_channels = 0  # none that an image's latent could start from
 
     def __init__(self, autoencoder: Autoencoder) -> None:
         super().__init__()

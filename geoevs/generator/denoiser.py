@@ -4,6 +4,8 @@ import torch
 from diffusers import UNet2DConditionModel
 from torch import Tensor, nn
 
+from geoevs.generator.condition import ConditionEncoder
+
 
 def nano_unet(latent_channels: int) -> UNet2DConditionModel:
     """The untrained UNet of this suite's own prior, in the layout of Stable Diffusion's.
@@ -32,11 +34,19 @@ class Denoiser(nn.Module):
     Args:
         unet: reads the latents' channels, then the encoder's (see `conditioned`).
         encoder: E_geo, or None for an unconditional prior.
+        prediction: one of `diffusion.PREDICTIONS`. Where that is the clean latent and the encoder
+            has the condition's own, the UNet predicts what that lacks.
     """
 
-    def __init__(self, unet: UNet2DConditionModel, encoder: nn.Module | None) -> None:
+    def __init__(
+        self,
+        unet: UNet2DConditionModel,
+        encoder: nn.Module | None,
+        prediction: str = "v_prediction",
+    ) -> None:
         super().__init__()
         self.unet, self.encoder = unet, encoder
+        self.residual = isinstance(encoder, ConditionEncoder) and prediction == "sample"
         self.prompt = nn.Parameter(torch.zeros(1, 1, unet.config.cross_attention_dim))
         if encoder is not None:
             self.null = nn.Parameter(torch.zeros(1, encoder.channels, 1, 1))
@@ -62,14 +72,21 @@ class Denoiser(nn.Module):
         """[B, L, h, w] the prediction."""
         seen = noisy if features is None else torch.cat([noisy, features.to(noisy.dtype)], dim=1)
         prompt = self.prompt.expand(len(noisy), -1, -1)
-        return self.unet(seen, timesteps, encoder_hidden_states=prompt).sample
+        predicted = self.unet(seen, timesteps, encoder_hidden_states=prompt).sample
+        return predicted + features[:, : noisy.shape[1]] if self.residual else predicted
 
 
-def conditioned(prior: Denoiser, encoder: nn.Module) -> Denoiser:
-    """A denoiser of [z_t, c] that starts as an unconditional one, whose parts it takes over."""
+def conditioned(prior: Denoiser, encoder: nn.Module, prediction: str = "v_prediction") -> Denoiser:
+    """A denoiser of [z_t, c] that takes over an unconditional one's parts.
+
+    It starts as the unconditional one; or, if it predicts residuals, as the condition's own latent.
+    """
     _widen(prior.unet, encoder.channels)
-    denoiser = Denoiser(prior.unet, encoder)
+    denoiser = Denoiser(prior.unet, encoder, prediction)
     denoiser.prompt = prior.prompt
+    if denoiser.residual:
+        nn.init.zeros_(prior.unet.conv_out.weight)
+        nn.init.zeros_(prior.unet.conv_out.bias)
     return denoiser
 
 

@@ -81,7 +81,7 @@ def save_denoiser(
     if isinstance(encoder, FrozenEncoder):
         kind = "frozen"
     elif encoder is not None:
-        kind = {name: getattr(encoder, name) for name in ("factor", "channels", "validity")}
+        kind = {"channels": encoder.trained_channels, "validity": encoder.validity}
     settings = {
         "unet": _plain(denoiser.unet.config),
         "encoder": kind,
@@ -93,15 +93,16 @@ def save_denoiser(
 def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffusion]:
     """Read what `save_denoiser` wrote; a frozen encoder takes the autoencoder."""
     settings, weights = _read(path, {"unet", "encoder", "diffusion"})
-    encoder = settings["encoder"]
+    encoder, diffusion = settings["encoder"], Diffusion(**settings["diffusion"])
     if encoder == "frozen":
         encoder = FrozenEncoder(autoencoder)
     with torch.device("meta"):  # random weights would be made in vain
         if isinstance(encoder, dict):
-            encoder = ConditionEncoder(**encoder)
-        denoiser = Denoiser(UNet2DConditionModel.from_config(settings["unet"]), encoder)
+            encoder = ConditionEncoder(autoencoder, **encoder)
+        unet = UNet2DConditionModel.from_config(settings["unet"])
+        denoiser = Denoiser(unet, encoder, diffusion.prediction)
     load_weights(denoiser, weights, path, REMAKE)
-    return denoiser.eval(), Diffusion(**settings["diffusion"])
+    return denoiser.eval(), diffusion
 
 
 def _public_prior(name: str) -> Prior:

@@ -214,7 +214,7 @@ def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoise
         encoder = (
             FrozenEncoder(prior.autoencoder)
             if settings.encoder == "frozen"
-            else ConditionEncoder(prior.autoencoder.factor, validity=settings.validity)
+            else ConditionEncoder(prior.autoencoder, validity=settings.validity)
         )
     device = next(prior.autoencoder.parameters()).device
-    return conditioned(prior.denoiser, encoder).to(device)
+    return conditioned(prior.denoiser, encoder, prior.diffusion.prediction).to(device)

@@ -14,6 +14,7 @@ from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.scale import fit_scale
 from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
+from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
     from torch import nn
@@ -93,14 +94,23 @@ class NetworkDepth(ABC):
         if views.has("lidar"):
             points = views.lidar(frame).xyz
             for number, name in enumerate(views.cameras):
-                camera = views.camera(name, frame)
-                depth[number] = fit_scale(
-                    depth[number],
-                    None if confidence is None else confidence[number],
-                    zbuffer(points, camera, visibility="footprint").depth,
-                    camera,
+                sure = None if confidence is None else confidence[number]
+                depth[number] = self._fit_to_lidar(
+                    images[number], depth[number], sure, points, views.camera(name, frame)
                 )
         return dict(zip(views.cameras, depth, strict=True))
+
+    def _fit_to_lidar(
+        self,
+        image: np.ndarray,  # [H, W, 3]
+        depth: np.ndarray,  # [H, W]
+        confidence: np.ndarray | None,  # [H, W]
+        points: np.ndarray,  # [N, 3]
+        camera: Camera,
+    ) -> np.ndarray:
+        """(H, W) float32 metres."""
+        measured = zbuffer(points, camera, visibility="footprint").depth
+        return fit_scale(depth, confidence, measured, camera)
 
 
 class VggtDepth(NetworkDepth):
@@ -125,6 +135,23 @@ class VggtDepth(NetworkDepth):
         with torch.inference_mode():
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
         return tuple(maps[0].cpu().numpy() for maps in prediction)
+
+    def _fit_to_lidar(
+        self,
+        image: np.ndarray,  # [H, W, 3]
+        depth: np.ndarray,  # [H, W]
+        confidence: np.ndarray | None,  # [H, W]
+        points: np.ndarray,  # [N, 3]
+        camera: Camera,
+    ) -> np.ndarray:
+        """(H, W) float32 metres, refined if its weights have a refiner."""
+        from geoevs.geometry.refinement import refine, refiner_inputs
+
+        fitted = super()._fit_to_lidar(image, depth, confidence, points, camera)
+        if self.model.refiner is None:
+            return fitted
+        inputs = refiner_inputs(image, fitted, points, camera)
+        return fitted if inputs is None else refine(self.model.refiner, inputs)
 
 
 class DepthAnything3Depth(NetworkDepth):

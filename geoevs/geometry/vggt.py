@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.errors import GeoEvsError
+from geoevs.geometry.refinement import DepthRefiner
 from geoevs.geometry.vggt_head import DepthHead
 from geoevs.geometry.vggt_layers import Block, DinoEncoder, PatchEmbedding, rotary_tables
 from geoevs.io import whole_file
@@ -47,6 +48,8 @@ class VggtConfig:
         head_layers: the four pairs whose tokens the depth head reads.
         head_channels: channels of its levels, the finest first, multiples of 4.
         head_features: channels in which it fuses them, a multiple of 8.
+        refiner: channels of the levels of what refines its depth by LiDAR (see `DepthRefiner`);
+            none has no such part, as published.
     """
 
     patch_size: int
@@ -60,6 +63,7 @@ class VggtConfig:
     layer_scale: float = 0.01
     dino_depth: int = 0
     dino_grid: int = 37
+    refiner: tuple[int, ...] = ()
 
     def nearest_size(self, height: int, width: int) -> tuple[int, int]:
         """The height and width nearest to these that divide into patches."""
@@ -110,6 +114,12 @@ class Vggt(nn.Module):
             config.head_features,
             initial=(math.log(INITIAL_DEPTH), 0.0),
         )
+        self.refiner = DepthRefiner(config.refiner) if config.refiner else None
+
+    def set_refiner(self, refiner: DepthRefiner, channels: tuple[int, ...]) -> None:
+        """Give it a trained refiner of these channels, which is stored with it."""
+        self.refiner = refiner
+        self.config = dataclasses.replace(self.config, refiner=channels)
 
     def forward(self, images: Tensor) -> DepthPrediction:  # [B, V, 3, H, W] in [0, 1]
         """Predict the depth of views that see one scene at one time.

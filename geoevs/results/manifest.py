@@ -41,14 +41,14 @@ def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str
 
 
 def make_provenance(
-    config: Mapping[str, Any], networks: Mapping[str, Path], losses: Mapping[str, Path]
+    config: Mapping[str, Any], files: Sequence[Path], losses: Mapping[str, Path]
 ) -> dict[str, Any]:
     """What pretrained weights were made of: commit, seed, scenes, steps, machine, final losses.
 
     Args:
         config: the merged config of the run that made them.
-        networks: the weights' files by name.
-        losses: each network's `losses.csv`; its last tenth is averaged, since single steps differ.
+        files: the weights.
+        losses: each training's `losses.csv`; its last tenth is averaged, since single steps differ.
     """
     return {
         "commit": _commit(),
@@ -59,13 +59,10 @@ def make_provenance(
             for name, dataset in config["datasets"].items()
             if "pretrain" in dataset["partitions"]
         },
-        "networks": {
-            name: {
-                "sha256": hash_path(path),
-                "settings": config["pretrain"][name],
-                "losses": _final_losses(losses[name]),
-            }
-            for name, path in networks.items()
+        "files": {path.name: hash_path(path) for path in files},
+        "trainings": {
+            name: {"settings": config["pretrain"][name], "losses": _final_losses(path)}
+            for name, path in losses.items()
         },
         "versions": _versions(),
         "machine": _machine(),

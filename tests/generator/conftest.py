@@ -103,8 +103,8 @@ def networks():
             """Untrained, but one that looks at its condition."""
             prior = cls.prior(diffusion, block)
             with seeded(0, "encoder"):
-                made = ConditionEncoder(prior.autoencoder.factor, channels=6, **encoder)
-                denoiser = conditioned(prior.denoiser, made)
+                made = ConditionEncoder(prior.autoencoder, channels=6, **encoder)
+                denoiser = conditioned(prior.denoiser, made, prior.diffusion.prediction)
                 torch.nn.init.normal_(denoiser.unet.conv_in.weight, std=0.3)
                 torch.nn.init.normal_(denoiser.null)
             return Generator(prior.autoencoder, denoiser.eval(), prior.diffusion)

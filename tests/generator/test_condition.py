@@ -4,6 +4,7 @@ import torch
 from torch.nn import functional
 
 from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
+from geoevs.generator.push_pull import push_pull
 
 
 @pytest.fixture
@@ -15,6 +16,16 @@ def condition():
     return colours * valid, valid
 
 
+@pytest.fixture
+def make(networks):
+    """Makes a trained encoder of a tiny autoencoder's factor."""
+
+    def make(factor=2, **options):
+        return ConditionEncoder(networks.autoencoder(factor), **options)
+
+    return make
+
+
 def first_input(encoder, condition):
     seen = []
     encoder.layers[0].register_forward_pre_hook(lambda layer, inputs: seen.append(inputs[0]))
@@ -23,8 +34,8 @@ def first_input(encoder, condition):
 
 
 @pytest.mark.parametrize("factor", [2, 4])
-def test_the_first_step_loses_nothing(condition, factor):
-    encoder = ConditionEncoder(factor)
+def test_the_first_step_loses_nothing(make, condition, factor):
+    encoder = make(factor)
     pixels = functional.pixel_shuffle(first_input(encoder, condition), factor)
     x, valid = condition
     found = pixels[:, 3:] == 1
@@ -32,24 +43,38 @@ def test_the_first_step_loses_nothing(condition, factor):
     assert torch.equal((pixels[:, :3] + 1) / 2 * found, x)
 
 
-def test_without_validity_holes_are_black(condition):
-    encoder = ConditionEncoder(2, validity=False)
+def test_without_validity_the_trained_part_sees_black_holes(make, condition):
+    encoder = make(validity=False)
     pixels = functional.pixel_shuffle(first_input(encoder, condition), 2)
     assert pixels.shape[1] == 3
     assert torch.equal((pixels + 1) / 2, condition[0])
     x, valid = torch.zeros(1, 3, 4, 4), torch.zeros(1, 1, 4, 4, dtype=bool)
     assert torch.equal(encoder(x, valid), encoder(x, ~valid))
-    assert not torch.equal(*(ConditionEncoder(2)(x, mask) for mask in (valid, ~valid)))
+    assert not torch.equal(*(make()(x, mask) for mask in (valid, ~valid)))
 
 
-def test_features_lie_on_the_latents_grid(condition):
-    assert ConditionEncoder(4, channels=5)(*condition).shape == (2, 5, 2, 3)
-    assert ConditionEncoder(4).channels == 24
+def test_features_lie_on_the_latents_grid(make, condition):
+    encoder = make(4, channels=5)
+    assert encoder(*condition).shape == (2, encoder.channels, 2, 3)
+    assert encoder.channels == encoder.latent_channels + 5
+    assert make(4).channels == encoder.latent_channels + 24
 
 
-def test_what_is_invalid_is_not_seen(condition):
+def test_the_latent_of_the_filled_map_comes_first(networks, make, condition):
     x, valid = condition
-    encoder = ConditionEncoder(2)
+    encoder = make()
+    autoencoder = networks.autoencoder()
+    latent = encoder(x, valid)[:, : encoder.latent_channels]
+    assert torch.equal(latent, autoencoder.encode(push_pull(x, valid)))
+    everywhere = torch.ones_like(valid)
+    assert torch.equal(encoder(x, everywhere)[:, : latent.shape[1]], autoencoder.encode(x))
+    # The autoencoder is no part of what is trained or stored.
+    assert all(name.startswith("layers.") for name in encoder.state_dict())
+
+
+def test_what_is_invalid_is_not_seen(make, condition):
+    x, valid = condition
+    encoder = make()
     assert torch.equal(encoder(x, valid), encoder(torch.where(valid, x, 0.7), valid))
 
 

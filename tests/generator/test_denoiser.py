@@ -2,6 +2,7 @@ import torch
 
 from geoevs.generator.condition import ConditionEncoder
 from geoevs.generator.denoiser import Denoiser, conditioned, nano_unet
+from geoevs.generator.push_pull import push_pull
 
 T = torch.tensor([10, 900])
 
@@ -13,19 +14,32 @@ def noisy(seed=0):
 def test_a_widened_denoiser_starts_as_the_prior(networks):
     prior = networks.prior().denoiser
     before = prior(noisy(), T).detach()
-    denoiser = conditioned(prior, ConditionEncoder(2, channels=6))
-    assert denoiser.unet.config.in_channels == 10
-    for features in (torch.zeros(2, 6, 8, 12), torch.randn(2, 6, 8, 12)):
+    denoiser = conditioned(prior, ConditionEncoder(networks.autoencoder(), channels=6))
+    assert denoiser.unet.config.in_channels == 14
+    for features in (torch.zeros(2, 10, 8, 12), torch.randn(2, 10, 8, 12)):
         torch.testing.assert_close(denoiser(noisy(), T, features), before, atol=1e-6, rtol=0)
+
+
+def test_a_denoiser_of_residuals_starts_as_the_conditions_own_latent(networks):
+    autoencoder = networks.autoencoder()
+    encoder = ConditionEncoder(autoencoder, channels=6)
+    denoiser = conditioned(networks.prior().denoiser, encoder, "sample")
+    image, valid = torch.rand(2, 3, 16, 24), torch.rand(2, 1, 16, 24) < 0.7
+    features = denoiser.features(image, valid)
+    filled = autoencoder.encode(push_pull(image, valid))
+    assert torch.equal(denoiser(noisy(), T, features), filled)
+    # From there it learns.
+    denoiser(noisy(), T, features).square().mean().backward()
+    assert denoiser.unet.conv_out.weight.grad.abs().max() > 0
 
 
 def test_the_priors_prompt_is_kept(networks):
     prior = networks.prior().denoiser
     before = prior(noisy(), T).detach()
-    denoiser = conditioned(prior, ConditionEncoder(2, channels=6))
+    denoiser = conditioned(prior, ConditionEncoder(networks.autoencoder(), channels=6))
     assert torch.equal(denoiser.prompt, networks.prior().denoiser.prompt)
     denoiser.prompt.data.zero_()
-    changed = denoiser(noisy(), T, torch.zeros(2, 6, 8, 12))
+    changed = denoiser(noisy(), T, torch.zeros(2, 10, 8, 12))
     assert (changed - before).abs().max() > 1e-3  # so it mattered
 
 
@@ -34,7 +48,7 @@ def test_dropped_samples_have_the_null_condition(networks):
     condition, valid = torch.rand(2, 3, 16, 24), torch.ones(2, 1, 16, 24, dtype=bool)
     all_shown = denoiser.features(condition, valid)
     features = denoiser.features(condition, valid, torch.tensor([True, False]))
-    assert torch.equal(features[0], denoiser.null[0].expand(6, 8, 12))
+    assert torch.equal(features[0], denoiser.null[0].expand(10, 8, 12))
     assert torch.equal(features[1], all_shown[1])
     assert torch.equal(denoiser.features(condition, valid, torch.tensor([False, False])), all_shown)
 

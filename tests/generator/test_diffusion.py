@@ -142,12 +142,12 @@ def test_guidance_is_the_formula_with_two_separate_passes(networks, scale):
     generator = networks.generator()
     denoiser = generator.denoiser
     noisy, timestep = tensors(1)[0], torch.tensor(700)
-    features = torch.randn(2, 6, 6, 8, generator=torch.Generator().manual_seed(2))
+    features = torch.randn(2, 10, 6, 8, generator=torch.Generator().manual_seed(2))
     with torch.inference_mode():
         found = guided(denoiser, features, denoiser.null, scale)(noisy, timestep)
         times = timestep.expand(2)
         shown = denoiser(noisy, times, features)
-        null = denoiser(noisy, times, denoiser.null.expand(2, 6, 6, 8))
+        null = denoiser(noisy, times, denoiser.null.expand(2, 10, 6, 8))
     assert (shown - null).abs().max() > 0.01  # so that the scale matters
     torch.testing.assert_close(found, null + scale * (shown - null), atol=1e-5, rtol=1e-5)
 

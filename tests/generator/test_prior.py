@@ -61,9 +61,9 @@ def test_a_denoiser_comes_back(networks, tmp_path, kind):
         encoder = (
             FrozenEncoder(prior.autoencoder)
             if kind == "frozen"
-            else ConditionEncoder(2, channels=7, validity=kind == "trained")
+            else ConditionEncoder(prior.autoencoder, channels=7, validity=kind == "trained")
         )
-        denoiser = conditioned(denoiser, encoder).eval()
+        denoiser = conditioned(denoiser, encoder, "sample").eval()
     path = tmp_path / "d.safetensors"
     save_denoiser(path, denoiser, prior.diffusion)
     loaded, diffusion = load_denoiser(path, prior.autoencoder)
@@ -71,6 +71,7 @@ def test_a_denoiser_comes_back(networks, tmp_path, kind):
     assert not loaded.training
     assert same(loaded, denoiser)
     assert type(loaded.encoder) is type(encoder)
+    assert loaded.residual == (kind in ("trained", "blind"))
     noisy, times, features = torch.randn(1, 4, 4, 6), torch.tensor([5]), None
     if encoder is not None:
         features = loaded.features(torch.rand(1, 3, 8, 12), torch.ones(1, 1, 8, 12, dtype=bool))

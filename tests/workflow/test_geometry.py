@@ -2,14 +2,17 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from geoevs.generator.prior import load_prior
+from geoevs.geometry.refinement import NANO_CHANNELS
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
 from geoevs.io import read_json
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
+from geoevs.results.manifest import hash_path
 
 
 def rules(plan) -> list[str]:
@@ -130,13 +133,19 @@ def test_pretraining_installs_every_network(workspace):
     assert run.returncode == 0, run.stderr[-3000:]
     results = workspace.folder / "results/smoke"
     weights = workspace.folder / "weights"
-    assert load_vggt(weights / "vggt-nano.safetensors").config == VGGT_NANO
+    assert load_vggt(weights / "vggt-nano.safetensors").config == replace(
+        VGGT_NANO, refiner=NANO_CHANNELS
+    )
     for network in ("vggt-nano", "autoencoder", "prior"):
         new = (results / f"pretrain/{network}.safetensors").read_bytes()
         assert (weights / f"{network}.safetensors").read_bytes() == new
     provenance = read_json(weights / "provenance.json")
-    assert provenance["networks"]["prior"]["settings"]["steps"] == 4
-    assert np.isfinite(provenance["networks"]["autoencoder"]["losses"]["loss"])
+    assert provenance["trainings"]["prior"]["settings"]["steps"] == 4
+    for training in ("vggt-nano", "depth-refiner", "autoencoder", "prior"):
+        assert np.isfinite(provenance["trainings"][training]["losses"]["loss"])
+    assert provenance["files"]["vggt-nano.safetensors"] == hash_path(
+        weights / "vggt-nano.safetensors"
+    )
     assert load_prior("nano", weights).diffusion.prediction == "v_prediction"
     scenes = sorted(path.name for path in (results / "scenes/street-pretrain").iterdir())
     assert scenes == ["straight-1001", "straight-1002"]

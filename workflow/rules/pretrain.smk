@@ -1,7 +1,7 @@
 # This suite's own starting weights, on scenes that no other partition uses. No table needs these
 # rules: tables start from the weights that lie in config["weights"], where `pretrain` puts new ones.
 
-NETWORKS = (SUITE_MODEL, "autoencoder", "prior")
+WEIGHTS = (SUITE_MODEL, "autoencoder", "prior")
 
 
 rule pretrain_geometry:
@@ -9,7 +9,7 @@ rule pretrain_geometry:
         scenes=every_scene(layout.SCENE, PRETRAINING_SCENES),
         depths=every_scene(layout.DEPTHS, PRETRAINING_SCENES),
     output:
-        pretrained(SUITE_MODEL),
+        pretrained("unrefined"),
     log:
         in_run("logs/pretrain/vggt-nano.log"),
     benchmark:
@@ -23,6 +23,29 @@ rule pretrain_geometry:
     shell:
         "geoevs --log {log:q} train-geometry {params.frames} {params.settings} --half"
         " --work {params.work:q} --out {output:q}"
+
+
+# Its file holds both networks.
+rule pretrain_refiner:
+    input:
+        scenes=every_scene(layout.SCENE, PRETRAINING_SCENES),
+        depths=every_scene(layout.DEPTHS, PRETRAINING_SCENES),
+        model=pretrained("unrefined"),
+    output:
+        pretrained(SUITE_MODEL),
+    log:
+        in_run("logs/pretrain/depth-refiner.log"),
+    benchmark:
+        in_run("benchmarks/pretrain/depth-refiner.tsv")
+    threads: workflow.cores
+    params:
+        frames=training_frames,
+        settings=training_arguments(config["pretrain"]["depth-refiner"]),
+        work=pretraining_work("depth-refiner"),
+        code=code_hash("geoevs.geometry.refiner_training"),
+    shell:
+        "geoevs --log {log:q} train-refiner --model {input.model:q} {params.frames}"
+        " {params.settings} --work {params.work:q} --out {output:q}"
 
 
 rule pretrain_autoencoder:
@@ -68,20 +91,20 @@ rule pretrain_prior:
 
 rule install_weights:
     input:
-        [pretrained(network) for network in NETWORKS],
+        [pretrained(weights) for weights in WEIGHTS],
     output:
         in_run("pretrain/provenance.json"),
     log:
         in_run("logs/pretrain/install.log"),
     params:
-        new=lambda wildcards, output: Path(output[0]).parent,
         work=" ".join(
-            f"--work '{network}={pretraining_work(network)}'" for network in NETWORKS
+            f"--work '{training}={pretraining_work(training)}'"
+            for training in config["pretrain"]
         ),
         weights=config["weights"],
         config=json.dumps(config),
     shell:
-        "geoevs --log {log:q} install-weights {params.new:q} {params.work}"
+        "geoevs --log {log:q} install-weights {input:q} {params.work}"
         " --config {params.config:q} --weights {params.weights:q} --out {output:q}"
 
 
