@@ -69,6 +69,12 @@ class Diffusion:
             settings["clip_sample"] = False
         return SAMPLERS[kind](**settings)
 
+    def timesteps(self, steps: int, sampler: str) -> Tensor:
+        """[steps] int64: those that sampling visits."""
+        scheduler = self.scheduler(sampler)
+        scheduler.set_timesteps(steps)
+        return scheduler.timesteps.long()
+
     def noisy(
         self,
         clean: Tensor,  # [B, L, h, w]

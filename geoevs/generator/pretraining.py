@@ -15,7 +15,7 @@ from geoevs.adapter import Rng
 from geoevs.errors import GeoEvsError
 from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
 from geoevs.generator.denoiser import Denoiser
-from geoevs.generator.diffusion import Diffusion
+from geoevs.generator.diffusion import TIMESTEPS, Diffusion
 from geoevs.generator.training import denoising_losses
 from geoevs.io import to_uint8
 from geoevs.scenes.store import Scene
@@ -129,7 +129,9 @@ class PriorTask:
         images = random_crops(self._images, self._batch, self._images.shape[1:3], rng.numpy)
         with torch.no_grad(), mixed_precision(device):
             clean = self._autoencoder.encode(images.to(device)).float()
-        losses = denoising_losses(self.model, self._diffusion, clean, None, rng)
+        losses = denoising_losses(
+            self.model, self._diffusion, clean, None, torch.arange(TIMESTEPS), rng
+        )
         return {"loss": losses.mean()}
 
     @torch.inference_mode()

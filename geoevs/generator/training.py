@@ -24,6 +24,7 @@ from geoevs.training import Optimisation, fingerprint, mixed_precision, seeded, 
 
 CONDITION_ENCODERS = ("trained", "frozen")
 WEIGHTINGS = ("uniform", "support")
+TIMESTEP_DRAWS = ("uniform", "sampled")
 ENCODED_AT_ONCE = 32
 
 
@@ -34,6 +35,8 @@ class TrainingSettings:
     Args:
         prior: the weights to start from (see `load_prior`).
         prediction, schedule: of the diffusion process; None keeps the prior's.
+        timesteps: the ones to learn, `uniform` (all) or `sampled`, those that `sampling` visits: a
+            training for few steps spends nothing on others, but sampling with more then fails.
         steps, batch, learning_rate: of the optimiser; AdamW's peak rate (the paper's is 1e-4).
         drop: share of conditions replaced by the null condition.
         encoder: E_geo, `trained` or `frozen`.
@@ -47,6 +50,7 @@ class TrainingSettings:
     prior: str
     prediction: str | None
     schedule: str | None
+    timesteps: str
     steps: int
     batch: int
     learning_rate: float
@@ -103,11 +107,13 @@ def denoising_losses(
     diffusion: Diffusion,
     clean: Tensor,  # [B, L, h, w]
     features: Tensor | None,  # [B, C, h, w]
+    choices: Tensor,  # [K] int64
     rng: Rng,
 ) -> Tensor:
-    """[B] squared errors of one prediction at one random timestep each (paper section 3.3)."""
+    """[B] squared errors of one prediction at one timestep of `choices` each (section 3.3)."""
     noise = torch.randn(clean.shape, generator=rng.torch).to(clean.device)
-    timesteps = torch.randint(TIMESTEPS, (len(clean),), generator=rng.torch).to(clean.device)
+    picked = torch.randint(len(choices), (len(clean),), generator=rng.torch)
+    timesteps = choices[picked].to(clean.device)
     noisy, wanted = diffusion.noisy(clean, noise, timesteps)
     with mixed_precision(clean.device):
         predicted = denoiser(noisy, timesteps, features)
@@ -121,12 +127,12 @@ class GeoEvsTask:
         prior: the weights to start from; its denoiser is widened and trained, the rest is frozen.
         pairs: the training set.
         injection: which pixels of a condition are hidden (paper section 3.4).
-        settings: batch, drop, encoder, validity and weighting count here; sampling in previews.
+        settings: those of the prior and the optimiser do not count here.
         seed: of the condition encoder's first weights.
 
     Raises:
-        GeoEvsError: there is no such encoder, weighting or sampling, or the images do not divide
-            into latents.
+        GeoEvsError: there is no such encoder, weighting, draw of timesteps or sampling, or the
+            images do not divide into latents.
     """
 
     def __init__(
@@ -140,6 +146,7 @@ class GeoEvsTask:
         for what, value, allowed in (
             ("condition encoder", settings.encoder, CONDITION_ENCODERS),
             ("weighting", settings.weighting, WEIGHTINGS),
+            ("draw of timesteps", settings.timesteps, TIMESTEP_DRAWS),
         ):
             if value not in allowed:
                 raise GeoEvsError(f"there is no {what} '{value}'; {did_you_mean(value, allowed)}")
@@ -147,6 +154,11 @@ class GeoEvsTask:
         self._diffusion = prior.diffusion
         self._pairs, self._injection, self._settings = pairs, injection, settings
         self._sampling = Sampling(**settings.sampling)
+        self._timesteps = (
+            torch.arange(TIMESTEPS)
+            if settings.timesteps == "uniform"
+            else prior.diffusion.timesteps(self._sampling.steps, self._sampling.sampler)
+        )
         self._latents = self._encode(pairs.target)
         self.model = _conditional(prior, settings, seed)
         self._mean_support = float(pairs.valid.mean())
@@ -176,7 +188,9 @@ class GeoEvsTask:
         mask = torch.from_numpy(valid)[:, None].to(device)
         with mixed_precision(device):
             features = self.model.features(condition, mask, dropped)
-        losses = denoising_losses(self.model, self._diffusion, self._latents[picked], features, rng)
+        losses = denoising_losses(
+            self.model, self._diffusion, self._latents[picked], features, self._timesteps, rng
+        )
         support = mask.float().mean(dim=(1, 2, 3))
         if self._settings.weighting == "support":
             losses = losses * support / self._mean_support

@@ -33,6 +33,7 @@ SETTINGS = asdict(
         encoder="trained",
         validity=True,
         weighting="uniform",
+        timesteps="uniform",
         masks="reprojected",
         probability=0.4,
         sampling={"steps": 2, "guidance": 1.5},

@@ -35,6 +35,7 @@ SETTINGS = TrainingSettings(
     encoder="trained",
     validity=True,
     weighting="uniform",
+    timesteps="uniform",
     masks="none",
     probability=0.0,
     sampling={"steps": 2},
@@ -114,7 +115,8 @@ def test_the_loss_is_the_predictions_squared_error(networks):
         seen.append((noisy, timesteps, features))
         return torch.zeros_like(noisy)
 
-    losses = denoising_losses(predict, Diffusion("sample"), clean, None, rng())
+    every = torch.arange(TIMESTEPS)
+    losses = denoising_losses(predict, Diffusion("sample"), clean, None, every, rng())
     torch.testing.assert_close(losses, clean.square().mean(dim=(1, 2, 3)))
     ((noisy, timesteps, _),) = seen
     assert timesteps.min() < TIMESTEPS / 8
@@ -123,7 +125,26 @@ def test_the_loss_is_the_predictions_squared_error(networks):
     correlation = [(noisy[n] * clean[n]).mean().item() for n in timesteps.argsort()]
     assert np.mean(correlation[:8]) > 0.7
     assert abs(np.mean(correlation[-8:])) < 0.2
-    assert denoising_losses(denoiser, Diffusion(), clean[:2], None, rng()).shape == (2,)
+    assert denoising_losses(denoiser, Diffusion(), clean[:2], None, every, rng()).shape == (2,)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_timesteps_that_sampling_visits_are_all_that_is_learned(make, monkeypatch, steps):
+    task = make(timesteps="sampled", sampling={"steps": steps}, batch=16)
+    learned, visited = set(), []
+    noisy = task._diffusion.__class__.noisy
+
+    def watch(diffusion, clean, noise, timesteps):
+        learned.update(timesteps.tolist())
+        return noisy(diffusion, clean, noise, timesteps)
+
+    monkeypatch.setattr(task._diffusion.__class__, "noisy", watch)
+    for step in range(4):
+        task.losses(Rng(0, str(step)))
+    task._diffusion.sample(
+        lambda latent, t: visited.append(int(t)) or latent, torch.zeros(1, 4, 2, 2), steps
+    )
+    assert learned == set(visited)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in INJECTIONS if kind != "none"])
@@ -146,7 +167,7 @@ def test_trainings_that_differ_in_masks_share_the_rest(make, monkeypatch):
     monkeypatch.setattr(
         training,
         "denoising_losses",
-        lambda model, diffusion, clean, features, rng: (
+        lambda model, diffusion, clean, features, choices, rng: (
             drawn.append((clean, torch.rand(3, generator=rng.torch))) or clean.new_zeros(16)
         ),
     )
@@ -275,6 +296,10 @@ def test_training_starts_from_the_named_prior(pairs, library, weights, tmp_path)
     [
         ({"encoder": "frosen"}, r"there is no condition encoder 'frosen'; did you mean 'frozen'\?"),
         ({"weighting": "suport"}, r"there is no weighting 'suport'; did you mean 'support'\?"),
+        (
+            {"timesteps": "sample"},
+            r"there is no draw of timesteps 'sample'; did you mean 'sampled'",
+        ),
         ({"masks": "box"}, r"there is no artifact injection 'box'; did you mean 'boxes'\?"),
         ({"sampling": {"steps": 0}}, r"sampling has 0 steps; choose"),
     ],
