@@ -43,6 +43,7 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
         key, problem = _explain(mistakes[0])
         raise GeoEvsError(f"{_locate(key, files)}: {problem}")
     _check_datasets(config, files)
+    _check_masks(config, files)
     _check_geometry(config, files)
     _check_methods(config, files)
     for name in ("pose_bins", "support_bins"):
@@ -269,6 +270,17 @@ def _check_geometry(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 f"there are no scenes to fine-tune '{model}' on; name some under "
                 "partitions.geometry of a data set, or set 'finetune' to null"
             )
+
+
+def _check_masks(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    """Shifts that train must not be among those that test; yaws are in other units, see `masks`."""
+    tested = config["protocol"]["masked"]["lateral"]
+    shared = sorted(set(config["conditions"]["masks"]["lateral"]) & set(tested))
+    if shared:
+        raise GeoEvsError(
+            f"{_locate(('conditions', 'masks', 'lateral'), files)}: masks shifted by {shared[0]} m "
+            "are what protocol.masked tests with; change one of them"
+        )
 
 
 def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:

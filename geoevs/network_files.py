@@ -42,6 +42,11 @@ def read_network(path: Path) -> tuple[dict[str, Any] | None, dict[str, Tensor]]:
         return json.loads((file.metadata() or {}).get("settings", "null")), weights
 
 
+def best_device() -> str:
+    """The GPU if there is one."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
 def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advice: str) -> None:
     """Put weights into a network, in float32 and exactly.
 

@@ -57,7 +57,8 @@ conditions:
 training:
   {prior: nano, prediction: null, schedule: null, steps: 4, batch: 2, learning_rate: 0.001,
    drop: 0.1, encoder: trained, validity: true, weighting: uniform, masks: reprojected,
-   probability: 0.4, timesteps: uniform, sampling: {steps: 5}, variants: {v1: {probability: 0}, v3: {}}}
+   probability: 0.4, timesteps: uniform, sampling: {steps: 5},
+   variants: {v1: {probability: 0}, v3: {}}}
 """
 
 
@@ -250,6 +251,11 @@ MISTAKES = {
         "[0, 1], lateral",
         "[0, 1.5], lateral",
         "37: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+    ),
+    "a mask that tests": (
+        "[-2, 2]",
+        "[-2, 3]",
+        "37: masks shifted by 3 m are what protocol.masked tests with; change one of them",
     ),
     "no masks": ("[-2, 2]", "[]", "37: 'conditions.masks.lateral' is wrong: [] "),
     "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),

@@ -91,6 +91,7 @@ def train_autoencoder(
     from geoevs.generator.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
     from geoevs.generator.pretraining import AutoencoderTask, read_images
     from geoevs.generator.prior import save_autoencoder
+    from geoevs.network_files import best_device
     from geoevs.training import Optimisation, finish, seeded, train
 
     images = read_images(scenes)
@@ -99,7 +100,7 @@ def train_autoencoder(
     every = max(1, len(images) // 128)
     some = to_tensor(images[::every])
     autoencoder.fit_linear(some)
-    device = "cuda" if torch.cuda.is_available() else "cpu"
+    device = best_device()
     autoencoder.to(device)
     task = AutoencoderTask(autoencoder, images, batch, (crop, crop))
     with training_bar(f"autoencoder on {len(images)} images", steps) as report:
@@ -127,9 +128,10 @@ def train_prior(
     from geoevs.generator.diffusion import Diffusion
     from geoevs.generator.pretraining import PriorTask, read_images
     from geoevs.generator.prior import load_autoencoder, save_denoiser
+    from geoevs.network_files import best_device
     from geoevs.training import Optimisation, finish, seeded, train
 
-    device = "cuda" if torch.cuda.is_available() else "cpu"
+    device = best_device()
     images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
     with seeded(seed, "prior"):
         denoiser = Denoiser(nano_unet(frozen.latent_channels), None).to(device)

@@ -45,6 +45,7 @@ def train_geometry(
     from geoevs.adapter import Rng
     from geoevs.geometry.finetuning import read_depth_frames, train_vggt
     from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
+    from geoevs.network_files import best_device
     from geoevs.training import Optimisation, finish
 
     model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
@@ -53,7 +54,7 @@ def train_geometry(
     views = frames.images.shape[1]
     described = f"{len(frames)} frames of {views} views, {count / 1e6:.1f} M parameters"
     print(f"VGGT: {described}, {steps} steps", file=sys.stderr)
-    model.to("cuda" if torch.cuda.is_available() else "cpu")
+    model.to(best_device())
     with training_bar("VGGT", steps) as report:
         optimisation = Optimisation(steps, learning_rate)
         trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
@@ -81,6 +82,7 @@ def train_refiner(
     from geoevs.geometry.refinement import NANO_CHANNELS, DepthRefiner
     from geoevs.geometry.refiner_training import RefinementTask, read_refiner_views
     from geoevs.geometry.vggt import save_vggt
+    from geoevs.network_files import best_device
     from geoevs.training import Optimisation, finish, seeded, train
 
     if len(scenes) != len(depths):
@@ -94,7 +96,7 @@ def train_refiner(
         views = read_refiner_views(scenes, depths, network, advance)
     with seeded(seed, "depth-refiner"):
         refiner = DepthRefiner(NANO_CHANNELS)
-    refiner.to("cuda" if torch.cuda.is_available() else "cpu")
+    refiner.to(best_device())
     with training_bar(f"depth refiner on {len(views)} views", steps) as report:
         task = RefinementTask(refiner, views, batch)
         optimisation = Optimisation(steps, learning_rate)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import diffusers
 import torch
@@ -69,6 +70,11 @@ class Diffusion:
             settings["clip_sample"] = False
         return SAMPLERS[kind](**settings)
 
+    @cached_property
+    def _noise(self) -> diffusers.SchedulerMixin:
+        """What adds noise: the same whichever way it is removed."""
+        return self.scheduler()
+
     def timesteps(self, steps: int, sampler: str) -> Tensor:
         """[steps] int64: those that sampling visits."""
         scheduler = self.scheduler(sampler)
@@ -82,7 +88,7 @@ class Diffusion:
         timesteps: Tensor,  # [B] int64
     ) -> tuple[Tensor, Tensor]:
         """z_t, and what the network should predict from it."""
-        scheduler = self.scheduler()
+        scheduler = self._noise
         mixed = scheduler.add_noise(clean, noise, timesteps)
         if self.prediction == "epsilon":
             return mixed, noise

@@ -19,6 +19,7 @@ from geoevs.generator.prior import (
     save_autoencoder,
     save_denoiser,
 )
+from geoevs.network_files import best_device
 from geoevs.training import mixed_precision
 
 DENOISER_FILE = "denoiser.safetensors"
@@ -108,7 +109,7 @@ class Generator:
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote, onto the GPU if there is one."""
-        device = "cuda" if torch.cuda.is_available() else "cpu"
+        device = best_device()
         autoencoder = load_autoencoder(folder / AUTOENCODER_FILE)
         denoiser, diffusion = load_denoiser(folder / DENOISER_FILE, autoencoder)
         return cls(autoencoder.to(device), denoiser.to(device), diffusion)

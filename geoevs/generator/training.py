@@ -20,6 +20,7 @@ from geoevs.generator.denoiser import Denoiser, conditioned
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
 from geoevs.generator.generator import Generator, Sampling
 from geoevs.generator.prior import Prior, load_prior
+from geoevs.network_files import best_device
 from geoevs.training import Optimisation, fingerprint, mixed_precision, seeded, train
 
 CONDITION_ENCODERS = ("trained", "frozen")
@@ -94,7 +95,7 @@ def train_geo_evs(
     changed = {name: getattr(settings, name) for name in ("prediction", "schedule")}
     changed = {name: value for name, value in changed.items() if value is not None}
     prior = replace(prior, diffusion=replace(prior.diffusion, **changed))
-    device = "cuda" if torch.cuda.is_available() else "cpu"
+    device = best_device()
     prior.autoencoder.to(device)
     task = GeoEvsTask(prior, pairs, injection, settings, seed)
     optimisation = Optimisation(settings.steps, settings.learning_rate)

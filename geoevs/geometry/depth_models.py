@@ -117,11 +117,10 @@ class VggtDepth(NetworkDepth):
     """VGGT of any size, on the GPU if there is one."""
 
     def __init__(self, weights: Path) -> None:
-        import torch
-
         from geoevs.geometry.vggt import load_vggt
+        from geoevs.network_files import best_device
 
-        self.model = load_vggt(weights).to("cuda" if torch.cuda.is_available() else "cpu")
+        self.model = load_vggt(weights).to(best_device())
 
     def predict(
         self,
@@ -158,7 +157,7 @@ class DepthAnything3Depth(NetworkDepth):
     """Depth Anything 3 through its own package, on the GPU if there is one."""
 
     def __init__(self, weights: Path) -> None:
-        import torch
+        from geoevs.network_files import best_device
 
         try:
             from depth_anything_3.api import DepthAnything3
@@ -173,7 +172,7 @@ class DepthAnything3Depth(NetworkDepth):
                 "repositories there with `hf download`"
             )
         model = DepthAnything3.from_pretrained(str(weights))
-        self.model = model.to("cuda" if torch.cuda.is_available() else "cpu")
+        self.model = model.to(best_device())
 
     def predict(
         self,

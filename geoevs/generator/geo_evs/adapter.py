@@ -57,7 +57,8 @@ class Method:
         self._lifted = LiftedViews.make(views, model)
         self._seed = int(rng.numpy.integers(2**31))
         networks = self._generator.autoencoder, self._generator.denoiser
-        parameters = sum(p.numel() for network in networks for p in network.parameters())
+        parameters = model.parameters
+        parameters += sum(p.numel() for network in networks for p in network.parameters())
         return FitReport(self._lifted.pixels, parameters, "primitives are source pixels with depth")
 
     def render(self, camera: Camera, frame: int) -> Rendering:
