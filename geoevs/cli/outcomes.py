@@ -142,7 +142,7 @@ def chart(
 
 
 def manifest(
-    inputs: Annotated[list[Path], typer.Argument(help="Scene stores and score files.")],
+    inputs: Annotated[list[Path], typer.Argument(help="Scene stores, weights, score files.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     out: Out,
 ) -> None:

@@ -49,7 +49,8 @@ def test_the_whole_dag_runs(smoke_run):
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
-    assert (results / "manifest.json").exists()
+    inputs = read_json(results / "manifest.json")["inputs"]
+    assert {Path(name).name for name in inputs} >= {"junction-201", "prior.safetensors"}
 
 
 def test_scores_order_the_controls(smoke_run):

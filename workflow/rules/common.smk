@@ -153,12 +153,20 @@ def trained(wildcards):
     return [in_run(layout.TRAINED).format(training=entry.training, seed=entry.seed)]
 
 
+# What Geo-EVS starts from, which are no output that tables need.
+PRIOR_FILES = [
+    f"{config['weights']}/{name}.safetensors" for name in ("autoencoder", "prior")
+]
+
+
 def prior_hash():
-    """Hash of the weights that Geo-EVS starts from, which are no output that tables need."""
-    names = ("autoencoder", "prior")
-    return " ".join(
-        content_hash(f"{config['weights']}/{name}.safetensors") for name in names
-    )
+    """Hash of the weights that Geo-EVS starts from."""
+    return " ".join(content_hash(path) for path in PRIOR_FILES)
+
+
+def starting_weights(wildcards):
+    """The weights on this machine that trainings may start from."""
+    return [path for path in [*PRETRAINED, *PRIOR_FILES] if Path(path).exists()]
 
 
 def evidence(wildcards):

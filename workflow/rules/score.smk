@@ -59,6 +59,8 @@ rule manifest:
     log:
         in_run("logs/manifest.log"),
     params:
+        weights=starting_weights,
         config=json.dumps(config),
     shell:
-        "geoevs --log {log:q} manifest {input:q} --config {params.config:q} --out {output:q}"
+        "geoevs --log {log:q} manifest {input:q} {params.weights:q}"
+        " --config {params.config:q} --out {output:q}"
