@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs.io import read_image
+from geoevs.io import read_image, read_json
 from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
