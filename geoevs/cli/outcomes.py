@@ -109,6 +109,9 @@ def grid(
     labels: Annotated[list[str], typer.Option(help="An entrant's label; repeat for columns.")],
     keeps: Annotated[str, typer.Option(help="protocol.reference_keep, as JSON.")],
     out: Out,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="Random targets, in place of a few telling ones.")
+    ] = None,
 ) -> None:
     """Draw a table's grid: truth, reference, validity and every method side by side."""
     from geoevs.io import write_bytes
@@ -116,7 +119,7 @@ def grid(
 
     pairs = scene_pairs(scenes)
     shares = parse_json("--keeps", keeps, list)
-    write_bytes(out, table_grid(name, run, pairs, labels, shares))
+    write_bytes(out, table_grid(name, run, pairs, labels, shares, count))
 
 
 def chart(

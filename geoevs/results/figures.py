@@ -39,7 +39,12 @@ class Row:
 
 
 def table_grid(
-    table: str, run: Path, scenes: Sequence[tuple[str, str]], labels: Sequence[str], keeps: list
+    table: str,
+    run: Path,
+    scenes: Sequence[tuple[str, str]],
+    labels: Sequence[str],
+    keeps: list,
+    count: int | None = None,
 ) -> bytes:
     """The grid picture of a table as PNG bytes.
 
@@ -49,18 +54,25 @@ def table_grid(
         scenes: (dataset, scene) pairs to show.
         labels: the entrants' labels, one column each.
         keeps: the shares of the reference, for the sparsity table's rows.
+        count: show this many random targets, the same ones every time, in place of a few telling.
     """
     spec = table_spec(table)
-    rows = []
+    targets = []
     for dataset, scene in scenes:
+        found = read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
+        targets.append([target for target in found if target.split in spec.splits])
+    if count is None:
+        shown = [_pick(table, candidates, keeps) for candidates in targets]
+    else:
+        shown = [[(target, keeps[0]) for target in some] for some in _sample(targets, count)]
+    rows = []
+    for (dataset, scene), picked in zip(scenes, shown, strict=True):
         where = {"dataset": dataset, "scene": scene}
         store = Scene(run / layout.SCENE.format(**where))
         references = References(run / layout.REFERENCES.format(**where))
         masks = Masks(run / layout.MASKS.format(**where))
         truth = run / layout.TRUTH.format(**where)
-        targets = read_targets(run / layout.TARGETS.format(**where))
-        candidates = [target for target in targets if target.split in spec.splits]
-        for target, keep in _pick(table, candidates, keeps):
+        for target, keep in picked:
             dense = dense_truth(store, truth, target)
             evidence = [None if dense is None else to_uint8(dense)]
             if target.masked:
@@ -77,9 +89,9 @@ def table_grid(
             name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
             rows.append(Row(name, [*evidence, *renders]))
     columns = [*_evidence_names(spec), *labels]
-    shown = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
-    rows = [Row(row.label, [row.pictures[k] for k in shown]) for row in rows]
-    return encode_png(draw_grid([columns[k] for k in shown], rows))
+    used = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
+    rows = [Row(row.label, [row.pictures[k] for k in used]) for row in rows]
+    return encode_png(draw_grid([columns[k] for k in used], rows))
 
 
 def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:
@@ -156,6 +168,17 @@ def _thicken(picture: np.ndarray) -> np.ndarray:
 def _read_render(renders: Path, target: Target) -> np.ndarray | None:
     path = renders / f"{target.key}.png"
     return read_image(path) if path.exists() else None
+
+
+def _sample(targets: list[list[Target]], count: int) -> list[list[Target]]:
+    """As many random ones of all scenes' targets, in their order."""
+    places = [(scene, k) for scene, some in enumerate(targets) for k in range(len(some))]
+    drawn = np.random.default_rng(0).permutation(len(places))[:count]
+    kept = {places[number] for number in drawn}
+    return [
+        [target for k, target in enumerate(some) if (scene, k) in kept]
+        for scene, some in enumerate(targets)
+    ]
 
 
 def _pick(table: str, targets: list[Target], keeps: list[float]) -> list[tuple[Target, float]]:

@@ -113,8 +113,9 @@ def share(picture, *colours):
     return sum((picture == colour).all(axis=-1).mean() for colour in colours)
 
 
-def drawn(table, run, keeps=KEEPS, labels=("grey",), scenes=(("d", "s"),)):
-    return np.asarray(Image.open(io.BytesIO(table_grid(table, run, scenes, labels, keeps))))
+def drawn(table, run, keeps=KEEPS, labels=("grey",), scenes=(("d", "s"),), count=None):
+    png = table_grid(table, run, scenes, labels, keeps, count)
+    return np.asarray(Image.open(io.BytesIO(png)))
 
 
 # Rows: one target; two targets; one a share; the angles to the left; two targets;
@@ -138,6 +139,23 @@ def test_every_table_has_its_grid(run, table, lines, columns):
     assert (grid.shape[1] - MARGIN) / (TILE_WIDTH + MARGIN) == columns
     for line in range(lines):
         assert (tile(grid, line, columns - 1) == 99).all()
+
+
+def test_random_targets_are_the_same_ones_every_time(run):
+    def lines(count):
+        grid = drawn("observed", run, count=count)
+        return [tile(grid, line, 0).tobytes() for line in range(_count(grid))]
+
+    every = lines(1000)
+    assert len(every) > 3
+    three = lines(3)
+    assert len(three) == 3
+    assert set(three) < set(every)
+    assert three == lines(3)
+
+
+def _count(grid):
+    return (grid.shape[0] - HEADER - MARGIN) // (TILE_HEIGHT + HEADER)
 
 
 def test_the_sparsity_grid_shows_ever_fewer_pixels(run):
