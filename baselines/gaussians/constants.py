@@ -10,7 +10,7 @@ TRANSMITTANCE_THRESHOLD = 1e-4
 """A pixel is finished before the Gaussian that would let no more than this through."""
 
 BLUR = 0.3
-"""Variance in squared pixels that is added to every footprint, so that none falls between pixels."""
+"""Square pixels added to the variance of every footprint, so that none falls between pixels."""
 
 NEAR_PLANE = 0.01
 """Metres; Gaussians whose centre is not beyond it are not drawn."""

@@ -1,9 +1,21 @@
-"""Differentiable rasterization of 3D Gaussians."""
+"""Differentiable rasterization of 3D Gaussians: numba kernels on the CPU, gsplat on CUDA.
 
+Constants and picture are gsplat's (see `baselines.gaussians.constants`). On the CPU it works in
+float32, and the same input gives the same bytes for a given number of threads, which is numba's
+(NUMBA_NUM_THREADS).
+"""
+
+import numba
+import numpy as np
+import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from baselines.gaussians.interface import Rasterization
-from baselines.gaussians.reference import rasterize_reference
+from baselines.gaussians.binning_kernels import TILE, bin_splats, depth_order
+from baselines.gaussians.blending_kernels import blend, blend_backward
+from baselines.gaussians.interface import Footprints, Rasterization, check_gaussians
+from baselines.gaussians.projection_kernels import project, project_backward
+from geoevs.projection_kernels import lens_of
 from geoevs.scenes.camera import Camera
 
 
@@ -23,16 +35,68 @@ def rasterize(
         quats: (N, 4) rotations as w, x, y, z, of any length but zero.
         scales: (N, 3) standard deviations along the rotated axes, metres.
         opacities: (N,) in [0, 1].
-        sh: (N, K, 3) coefficients of spherical harmonics, K = 1 or 4; colour is
-            0.5 + SH_C0 * sh[:, 0] and so on, not below 0.
+        sh: (N, K, 3) coefficients of real spherical harmonics of the viewing direction about
+            mid-grey, K = 1 or 4.
         camera: the view.
         background: (3,) colour behind the Gaussians; black if not given.
 
     Returns:
-        rgb (H, W, 3); depth (H, W) in metres, normalised by opacity, 0 where no Gaussian is; opacity
-        (H, W); and the footprints, whose gradient `backward` fills in.
+        rgb (H, W, 3); depth (H, W) in metres, normalised by opacity, 0 where no Gaussian is;
+        opacity (H, W); and the footprints, whose gradient `backward` fills in. Gaussians that
+        are not finite, or whose quaternion is zero, are not drawn.
 
     Raises:
-        GeoEvsError: shapes do not pair up.
+        GeoEvsError: shapes do not pair up, or the tensors are on CUDA without gsplat.
+
+    >>> camera = Camera([[10, 0, 8], [0, 10, 8], [0, 0, 1]], np.eye(4), 16, 16)
+    >>> one = torch.ones(1)
+    >>> drawn = rasterize(
+    ...     torch.tensor([[0.05, 0.05, 1.0]]), torch.tensor([[1.0, 0, 0, 0]]), one[:, None] * 0.1,
+    ...     one * 0.8, torch.zeros(1, 1, 3), camera
+    ... )
     """
-    return rasterize_reference(means, quats, scales, opacities, sh, camera, background)
+    check_gaussians(means, quats, scales, opacities, sh, background)
+    if means.is_cuda:
+        from baselines.gaussians.gsplat_backend import rasterize_gsplat
+
+        return rasterize_gsplat(means, quats, scales, opacities, sh, camera, background)
+    if background is None:
+        background = means.new_zeros(3)
+    footprints = Footprints(radii=means.new_empty(0))
+    rgb, depth, opacity = _Rasterize.apply(
+        means, quats, scales, opacities, sh, background, camera, footprints
+    )
+    return Rasterization(rgb, depth, opacity, footprints)
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, means, quats, scales, opacities, sh, background, camera, footprints):
+        parameters = [*map(_array, (means, quats, scales, opacities, sh))]
+        lens, threads = lens_of(camera), numba.get_num_threads()
+        splats, radii = project(*parameters, lens)
+        rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
+        bins = bin_splats(splats, depth_order(splats, radii), rows, columns, threads)
+        pictures = blend(splats, *bins, _array(background), camera.height, camera.width, threads)
+        footprints.radii = torch.from_numpy(radii)
+        ctx.held = parameters, lens, splats, radii, bins, pictures, threads
+        ctx.footprints = footprints
+        return tuple(map(torch.from_numpy, pictures))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, by_rgb, by_depth, by_opacity):
+        parameters, lens, splats, radii, bins, pictures, threads = ctx.held
+        by_pictures = map(_array, (by_rgb, by_depth, by_opacity))
+        shares = blend_backward(splats, *bins, *pictures, *by_pictures, threads)
+        *grads, centres = project_backward(*parameters, lens, splats, radii, shares)
+        ctx.footprints.means2d_grad = torch.from_numpy(centres)
+        by_background = None
+        if ctx.needs_input_grad[5]:
+            through = 1 - torch.from_numpy(pictures[2])
+            by_background = (through[..., None] * by_rgb).sum((0, 1))
+        return *map(torch.from_numpy, grads), by_background, None, None
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().float().contiguous().numpy()
