@@ -56,8 +56,8 @@ def _tiles_between(low, high, tiles):
 
     Clipped while still floats: not every float fits an integer.
     """
-    first = max(math.ceil((low + 0.5) / TILE) - 1, 0.0)
-    last = min(math.floor((high - 0.5) / TILE), tiles - 1.0)
+    first = max(np.ceil((low + 0.5) / TILE) - 1, 0.0)
+    last = min(np.floor((high - 0.5) / TILE), tiles - 1.0)
     return int(min(first, tiles)), int(max(last, -1.0))
 
 

@@ -35,6 +35,7 @@ from baselines.gaussians.simd import (
     LANES,
     aligned,
     bits,
+    both,
     broadcast,
     exp2,
     fma,
@@ -117,90 +118,104 @@ def _blocks_reached(splat, left, top):
 
 
 @numba.njit(error_model="numpy")
-def _variation(splat):
-    """What u and v vary by within a block."""
-    u = fma(load(_X, 0), splat.root_xx, load(_Y, 0) * splat.root_yx)
-    return u, load(_Y, 0) * splat.root_yy
+def _blend_block(splats, ids, visits, x, y, transmittance):
+    """(transmittance, red, green, blue, depth, end) in the pixels (x, y) of one block.
 
-
-@numba.njit(error_model="numpy")
-def _falloff(splat, variation, block, left, top):
-    """(u, v, log2 alpha) in the pixels of a block."""
-    x = left + np.float32(np.int32(block & _THREE) * BLOCK) + _HALF - splat.centre_x
-    y = top + np.float32(np.int32(block >> _TWO) * BLOCK) + _HALF - splat.centre_y
-    u = variation[0] + (splat.root_xx * x + splat.root_yx * y)
-    v = variation[1] + splat.root_yy * y
-    return u, v, splat.log_opacity - fma(u, u, v * v)
-
-
-@numba.njit(error_model="numpy")
-def _blend_tile(splats, ids, left, top, state):
-    """Bring `state` from transmittance 1 and zeros to what the splats leave.
-
-    Transmittance (negative where finished), red, green, blue and depth.
+    Draws the splats ids[visits], front to back, until no pixel is left that light gets through;
+    `end` is how many that took. In pixels outside the frame, transmittance is 0 from the start.
     """
-    unfinished = _ALL_BLOCKS
-    for k in range(len(ids)):
-        splat = _read(splats, ids[k])
-        variation = _variation(splat)
-        blocks = _blocks_reached(splat, left, top) & unfinished
-        while blocks != 0:
-            block = lowest_bit(blocks)
-            blocks &= blocks - _ONE_BIT
-            at = np.intp(block) * LANES
-            _, _, log_alpha = _falloff(splat, variation, block, left, top)
-            alpha = minimum(exp2(log_alpha), _CAP)
-            alpha = select(greater(_LOG2_THRESHOLD, log_alpha), _ZERO, alpha)
-            marked = load(state, at)
-            before = maximum(marked, _ZERO)
-            weight = alpha * before
-            after = before - weight
-            drawn = greater(after, _THRESHOLD)
-            weight = select(drawn, weight, _ZERO)
-            store(state, at, select(drawn, after, minimum(marked, _ZERO - marked)))
-            store(state, at + PIXELS, fma(weight, splat.red, load(state, at + PIXELS)))
-            store(state, at + 2 * PIXELS, fma(weight, splat.green, load(state, at + 2 * PIXELS)))
-            store(state, at + 3 * PIXELS, fma(weight, splat.blue, load(state, at + 3 * PIXELS)))
-            store(state, at + 4 * PIXELS, fma(weight, splat.depth, load(state, at + 4 * PIXELS)))
-            if bits(drawn) == 0:
-                unfinished &= ~(_ONE_BIT << block)
-        if unfinished == 0:
-            break
+    red = green = blue = depth = broadcast(_ZERO)
+    raw = transmittance  # goes on falling in pixels that are finished
+    for k in range(len(visits)):
+        splat = _read(splats, ids[visits[k]])
+        offset_x, offset_y = x - splat.centre_x, y - splat.centre_y
+        u = fma(offset_x, splat.root_xx, offset_y * splat.root_yx)
+        v = offset_y * splat.root_yy
+        _, alpha = _alpha(splat.log_opacity - fma(u, u, v * v))
+        weight = alpha * raw
+        raw = raw - weight
+        unfinished = greater(raw, _THRESHOLD)
+        weight = select(unfinished, weight, _ZERO)
+        transmittance = select(unfinished, raw, transmittance)
+        red, green = fma(weight, splat.red, red), fma(weight, splat.green, green)
+        blue, depth = fma(weight, splat.blue, blue), fma(weight, splat.depth, depth)
+        if bits(unfinished) == 0:
+            return transmittance, red, green, blue, depth, k + 1
+    return transmittance, red, green, blue, depth, len(visits)
 
 
 @numba.njit(error_model="numpy")
-def _blend_tile_backward(splats, ids, left, top, state, grads):
-    """Add the gradients by the splats to `grads` [N, 16], replaying `_blend_tile` front to back.
+def _alpha(log_alpha):
+    """From log2 alpha, as it is and with cap and threshold."""
+    uncapped = exp2(log_alpha)
+    capped = minimum(uncapped, _CAP)
+    return uncapped, select(greater(_LOG2_THRESHOLD, log_alpha), _ZERO, capped)
 
-    `state` holds transmittance (0 where finished), what the rest of the ray adds to the loss, and
-    the gradients by red, green, blue and depth. That rest starts as what the whole ray adds;
+
+@numba.njit(error_model="numpy")
+def _blend_tile(splats, ids, left, top, blocks, visits, state):
+    """Fill `blocks` with the bits of the blocks in which each splat is drawn, and `state`.
+
+    `state` comes with transmittance 1, or 0 outside the frame, and leaves with what there is
+    left of it, red, green, blue and depth. `visits` is space for as many integers as `ids`.
+    """
+    for k in range(len(ids)):
+        blocks[k] = _blocks_reached(_read(splats, ids[k]), left, top)
+    for block in range(LANES):
+        count = 0
+        for k in range(len(ids)):  # without branches: they would be mispredicted
+            visits[count] = k
+            count += blocks[k] >> block & 1
+        x = load(_X, 0) + (left + _HALF + np.float32(block % 4 * BLOCK))
+        y = load(_Y, 0) + (top + _HALF + np.float32(block // 4 * BLOCK))
+        at = block * LANES
+        transmittance, red, green, blue, depth, end = _blend_block(
+            splats, ids, visits[:count], x, y, load(state, at)
+        )
+        store(state, at, transmittance)
+        store(state, at + PIXELS, red)
+        store(state, at + 2 * PIXELS, green)
+        store(state, at + 3 * PIXELS, blue)
+        store(state, at + 4 * PIXELS, depth)
+        if end < count:
+            unseen = np.uint16(~(1 << block))
+            for k in range(visits[end], len(ids)):
+                blocks[k] &= unseen
+
+
+@numba.njit(error_model="numpy")
+def _blend_tile_backward(splats, ids, blocks, left, top, state, grads):
+    """Add the gradients by the splats to `grads` [N, 16], replaying the blending front to back.
+
+    `state` holds transmittance, what the rest of the ray adds to the loss, and the gradients by
+    red, green, blue and depth. That rest starts as what the whole ray adds;
     d loss / d alpha = transmittance * value - rest / (1 - alpha), where value is what the splat's
     colour and depth add to the loss at weight 1.
     """
-    unfinished = _ALL_BLOCKS
     for k in range(len(ids)):
-        splat = _read(splats, ids[k])
-        variation = _variation(splat)
-        blocks = _blocks_reached(splat, left, top) & unfinished
-        if blocks == 0:
+        waiting = np.uint32(blocks[k])
+        if waiting == 0:
             continue
+        splat = _read(splats, ids[k])
+        varying_u = fma(load(_X, 0), splat.root_xx, load(_Y, 0) * splat.root_yx)
+        varying_v = load(_Y, 0) * splat.root_yy
         red = green = blue = depth = falloff = broadcast(_ZERO)
         by_u = by_v = by_uu = by_uv = by_vv = broadcast(_ZERO)
-        while blocks != 0:
-            block = lowest_bit(blocks)
-            blocks &= blocks - _ONE_BIT
+        while waiting != 0:
+            block = lowest_bit(waiting)
+            waiting &= waiting - _ONE_BIT
             at = np.intp(block) * LANES
-            u, v, log_alpha = _falloff(splat, variation, block, left, top)
-            uncapped = exp2(log_alpha)
-            alpha = minimum(uncapped, _CAP)
-            alpha = select(greater(_LOG2_THRESHOLD, log_alpha), _ZERO, alpha)
+            x = left + np.float32(np.int32(block & _THREE) * BLOCK) + _HALF - splat.centre_x
+            y = top + np.float32(np.int32(block >> _TWO) * BLOCK) + _HALF - splat.centre_y
+            u = varying_u + (splat.root_xx * x + splat.root_yx * y)
+            v = varying_v + splat.root_yy * y
+            uncapped, alpha = _alpha(splat.log_opacity - fma(u, u, v * v))
             before = load(state, at)
             weight = alpha * before
             after = before - weight
-            drawn = greater(after, _THRESHOLD)
-            weight = select(drawn, weight, _ZERO)
-            alpha = select(drawn, alpha, _ZERO)
-            store(state, at, select(drawn, after, _ZERO))
+            store(state, at, after)
+            unfinished = greater(after, _THRESHOLD)
+            weight = select(unfinished, weight, _ZERO)
 
             by_red, by_green = load(state, at + 2 * PIXELS), load(state, at + 3 * PIXELS)
             by_blue, by_depth = load(state, at + 4 * PIXELS), load(state, at + 5 * PIXELS)
@@ -210,24 +225,19 @@ def _blend_tile_backward(splats, ids, left, top, state, grads):
             rest = load(state, at + PIXELS) - added
             store(state, at + PIXELS, rest)
             by_falloff = added - rest * alpha / (_ONE - alpha)
-            by_falloff = select(greater(uncapped, _CAP), _ZERO, by_falloff)
+            smooth = both(unfinished, greater(_CAP, uncapped))
+            by_falloff = select(smooth, by_falloff, _ZERO)
 
-            red = fma(weight, by_red, red)
-            green = fma(weight, by_green, green)
-            blue = fma(weight, by_blue, blue)
-            depth = fma(weight, by_depth, depth)
+            red, green = fma(weight, by_red, red), fma(weight, by_green, green)
+            blue, depth = fma(weight, by_blue, blue), fma(weight, by_depth, depth)
             falloff = falloff + by_falloff
             times_u, times_v = by_falloff * u, by_falloff * v
             by_u, by_v = by_u + times_u, by_v + times_v
             by_uu, by_uv = fma(times_u, u, by_uu), fma(times_u, v, by_uv)
             by_vv = fma(times_v, v, by_vv)
-            if bits(drawn) == 0:
-                unfinished &= ~(_ONE_BIT << block)
         sums = sum_lanes((red, green, blue, depth, falloff, by_u, by_v, by_uu, by_uv, by_vv))
         row = np.intp(ids[k]) * COLUMNS
         store(grads, row, load(grads, row) + sums)
-        if unfinished == 0:
-            break
 
 
 @numba.njit(error_model="numpy")
@@ -246,12 +256,14 @@ def _place(y, x):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def blend(splats, ids, starts, background, height, width, threads):
-    """(rgb [H, W, 3], depth [H, W], opacity [H, W]) of binned splats."""
+    """((rgb [H, W, 3], depth [H, W], opacity [H, W]), blocks [E]) of binned splats."""
+    blocks = np.empty(len(ids), np.uint16)
+    most = np.max(starts[1:] - starts[:-1])
     rgb = np.empty((height, width, 3), np.float32)
     depth, opacity = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     columns = (width + TILE - 1) // TILE
     for thread in numba.prange(threads):
-        state = aligned(5 * PIXELS)
+        state, visits = aligned(5 * PIXELS), np.empty(most + 1, np.int32)
         first, last = _share(starts, thread, threads)
         for tile in range(first, last):
             top, left = tile // columns * TILE, tile % columns * TILE
@@ -260,12 +272,15 @@ def blend(splats, ids, starts, background, height, width, threads):
             for y in range(bottom):
                 for x in range(right):
                     state[_place(y, x)] = 1
-            entries = ids[starts[tile] : starts[tile + 1]]
-            _blend_tile(splats, entries, np.float32(left), np.float32(top), state)
+            start, stop = starts[tile], starts[tile + 1]
+            _blend_tile(
+                splats, ids[start:stop], np.float32(left), np.float32(top), blocks[start:stop],
+                visits, state,
+            )  # fmt: skip
             for y in range(bottom):
                 for x in range(right):
                     at = _place(y, x)
-                    through = abs(state[at])
+                    through = state[at]
                     for channel in range(3):
                         rgb[top + y, left + x, channel] = (
                             state[at + (1 + channel) * PIXELS] + through * background[channel]
@@ -275,11 +290,13 @@ def blend(splats, ids, starts, background, height, width, threads):
                     depth[top + y, left + x] = (
                         state[at + 4 * PIXELS] / covered if covered > 0 else np.float32(0)
                     )
-    return rgb, depth, opacity
+    return (rgb, depth, opacity), blocks
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
-def blend_backward(splats, ids, starts, rgb, depth, opacity, by_rgb, by_depth, by_opacity, threads):
+def blend_backward(
+    splats, ids, starts, blocks, rgb, depth, opacity, by_rgb, by_depth, by_opacity, threads
+):
     """Each thread's share [T, N, 16] of the gradients by the splats, from those by the pictures."""
     height, width = depth.shape
     grads = np.zeros((threads, len(splats), COLUMNS), np.float32)
@@ -305,8 +322,9 @@ def blend_backward(splats, ids, starts, rgb, depth, opacity, by_rgb, by_depth, b
                         added += by_rgb[row, column, channel] * rgb[row, column, channel]
                     state[at + PIXELS] = added
                     state[at + 5 * PIXELS] = by_sum
+            start, stop = starts[tile], starts[tile + 1]
             _blend_tile_backward(
-                splats, ids[starts[tile] : starts[tile + 1]], np.float32(left), np.float32(top),
+                splats, ids[start:stop], blocks[start:stop], np.float32(left), np.float32(top),
                 state, grads[thread],
             )  # fmt: skip
     return grads

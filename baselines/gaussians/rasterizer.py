@@ -77,9 +77,11 @@ class _Rasterize(torch.autograd.Function):
         splats, radii = project(*parameters, lens)
         rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
         bins = bin_splats(splats, depth_order(splats, radii), rows, columns, threads)
-        pictures = blend(splats, *bins, _array(background), camera.height, camera.width, threads)
+        pictures, blocks = blend(
+            splats, *bins, _array(background), camera.height, camera.width, threads
+        )
         footprints.radii = torch.from_numpy(radii)
-        ctx.held = parameters, lens, splats, radii, bins, pictures, threads
+        ctx.held = parameters, lens, splats, radii, (*bins, blocks), pictures, threads
         ctx.footprints = footprints
         return tuple(map(torch.from_numpy, pictures))
 

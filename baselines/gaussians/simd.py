@@ -144,6 +144,16 @@ def select(typing, mask, a, b):
 
 
 @intrinsic
+def both(typing, a, b):
+    """The mask of lanes that are set in both masks."""
+
+    def lower(context, builder, signature, arguments):
+        return builder.and_(*arguments)
+
+    return MASK(a, b), lower
+
+
+@intrinsic
 def bits(typing, mask):
     """The mask as an integer, lane 0 in its lowest bit."""
 
