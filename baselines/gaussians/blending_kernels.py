@@ -119,29 +119,29 @@ def _blocks_reached(splat, left, top):
 
 @numba.njit(error_model="numpy")
 def _blend_block(splats, ids, visits, x, y, transmittance):
-    """(transmittance, red, green, blue, depth, end) in the pixels (x, y) of one block.
+    """(opacity, red, green, blue, depth, end) in the pixels (x, y) of one block.
 
     Draws the splats ids[visits], front to back, until no pixel is left that light gets through;
     `end` is how many that took. In pixels outside the frame, transmittance is 0 from the start.
+    Opacity is a sum of its own: 1 - transmittance has few digits where it is low.
     """
-    red = green = blue = depth = broadcast(_ZERO)
-    raw = transmittance  # goes on falling in pixels that are finished
+    opacity = red = green = blue = depth = broadcast(_ZERO)
     for k in range(len(visits)):
         splat = _read(splats, ids[visits[k]])
         offset_x, offset_y = x - splat.centre_x, y - splat.centre_y
         u = fma(offset_x, splat.root_xx, offset_y * splat.root_yx)
         v = offset_y * splat.root_yy
         _, alpha = _alpha(splat.log_opacity - fma(u, u, v * v))
-        weight = alpha * raw
-        raw = raw - weight
-        unfinished = greater(raw, _THRESHOLD)
+        weight = alpha * transmittance
+        transmittance = transmittance - weight  # goes on falling in pixels that are finished
+        unfinished = greater(transmittance, _THRESHOLD)
         weight = select(unfinished, weight, _ZERO)
-        transmittance = select(unfinished, raw, transmittance)
+        opacity = opacity + weight
         red, green = fma(weight, splat.red, red), fma(weight, splat.green, green)
         blue, depth = fma(weight, splat.blue, blue), fma(weight, splat.depth, depth)
         if bits(unfinished) == 0:
-            return transmittance, red, green, blue, depth, k + 1
-    return transmittance, red, green, blue, depth, len(visits)
+            return opacity, red, green, blue, depth, k + 1
+    return opacity, red, green, blue, depth, len(visits)
 
 
 @numba.njit(error_model="numpy")
@@ -156,8 +156,8 @@ def _alpha(log_alpha):
 def _blend_tile(splats, ids, left, top, blocks, visits, state):
     """Fill `blocks` with the bits of the blocks in which each splat is drawn, and `state`.
 
-    `state` comes with transmittance 1, or 0 outside the frame, and leaves with what there is
-    left of it, red, green, blue and depth. `visits` is space for as many integers as `ids`.
+    `state` comes with transmittance 1, or 0 outside the frame, and leaves with opacity, red, green,
+    blue and depth. `visits` is space for as many integers as `ids`.
     """
     for k in range(len(ids)):
         blocks[k] = _blocks_reached(_read(splats, ids[k]), left, top)
@@ -169,10 +169,10 @@ def _blend_tile(splats, ids, left, top, blocks, visits, state):
         x = load(_X, 0) + (left + _HALF + np.float32(block % 4 * BLOCK))
         y = load(_Y, 0) + (top + _HALF + np.float32(block // 4 * BLOCK))
         at = block * LANES
-        transmittance, red, green, blue, depth, end = _blend_block(
+        opacity, red, green, blue, depth, end = _blend_block(
             splats, ids, visits[:count], x, y, load(state, at)
         )
-        store(state, at, transmittance)
+        store(state, at, opacity)
         store(state, at + PIXELS, red)
         store(state, at + 2 * PIXELS, green)
         store(state, at + 3 * PIXELS, blue)
@@ -280,12 +280,12 @@ def blend(splats, ids, starts, background, height, width, threads):
             for y in range(bottom):
                 for x in range(right):
                     at = _place(y, x)
-                    through = state[at]
+                    covered = state[at]
                     for channel in range(3):
                         rgb[top + y, left + x, channel] = (
-                            state[at + (1 + channel) * PIXELS] + through * background[channel]
+                            state[at + (1 + channel) * PIXELS]
+                            + (np.float32(1) - covered) * background[channel]
                         )
-                    covered = np.float32(1) - through
                     opacity[top + y, left + x] = covered
                     depth[top + y, left + x] = (
                         state[at + 4 * PIXELS] / covered if covered > 0 else np.float32(0)

@@ -34,7 +34,7 @@ by colour (0, 1, 2) and depth (3)."""
 _SCALE = 0.5 / math.log(2.0)
 _LOG2_THRESHOLD = math.log2(ALPHA_THRESHOLD)
 # The reach is meant for bins and blocks, which may hold a pixel too many but not one too few.
-_SLACK = 1e-3
+_SLACK = 2e-5
 
 
 @numba.njit(error_model="numpy")
@@ -102,7 +102,7 @@ def _project_one(means, quats, scales, opacities, i, lens, splat):
     """Fill in all columns but the colour, and give the radius; 0 if it is not in the picture."""
     x, y, z = _place(means, i, lens)
     opacity = np.float64(opacities[i])
-    if not (z > NEAR_PLANE and opacity >= ALPHA_THRESHOLD):
+    if not (z > NEAR_PLANE and ALPHA_THRESHOLD <= opacity < np.inf):
         return 0.0
     fx, cx, fy, cy, width, height = lens[12:18]
     u, v = fx * x / z + cx, fy * y / z + cy

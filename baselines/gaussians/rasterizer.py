@@ -13,6 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from baselines.gaussians.binning_kernels import TILE, bin_splats, depth_order
 from baselines.gaussians.blending_kernels import blend, blend_backward
+from baselines.gaussians.constants import SH_C0
 from baselines.gaussians.interface import Footprints, Rasterization, check_gaussians
 from baselines.gaussians.projection_kernels import project, project_backward
 from geoevs.projection_kernels import lens_of
@@ -47,13 +48,6 @@ def rasterize(
 
     Raises:
         GeoEvsError: shapes do not pair up, or the tensors are on CUDA without gsplat.
-
-    >>> camera = Camera([[10, 0, 8], [0, 10, 8], [0, 0, 1]], np.eye(4), 16, 16)
-    >>> one = torch.ones(1)
-    >>> drawn = rasterize(
-    ...     torch.tensor([[0.05, 0.05, 1.0]]), torch.tensor([[1.0, 0, 0, 0]]), one[:, None] * 0.1,
-    ...     one * 0.8, torch.zeros(1, 1, 3), camera
-    ... )
     """
     check_gaussians(means, quats, scales, opacities, sh, background)
     if means.is_cuda:
@@ -67,6 +61,26 @@ def rasterize(
         means, quats, scales, opacities, sh, background, camera, footprints
     )
     return Rasterization(rgb, depth, opacity, footprints)
+
+
+def blending_weights(
+    means: Tensor,  # [N, 3]
+    quats: Tensor,  # [N, 4]
+    scales: Tensor,  # [N, 3]
+    opacities: Tensor,  # [N]
+    camera: Camera,
+) -> Tensor:
+    """(N,) sum of each Gaussian's weight over the pixels: how much of the picture it makes up.
+
+    See `rasterize` for the arguments and errors.
+    """
+    sh = means.new_zeros(len(means), 1, 3, requires_grad=True)
+    with torch.enable_grad():
+        drawn = rasterize(
+            means.detach(), quats.detach(), scales.detach(), opacities.detach(), sh, camera
+        )
+        (by_sh,) = torch.autograd.grad(drawn.rgb[..., 0].sum(), sh)
+    return by_sh[:, 0, 0] / SH_C0
 
 
 class _Rasterize(torch.autograd.Function):
