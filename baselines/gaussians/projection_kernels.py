@@ -36,8 +36,11 @@ _LOG2_THRESHOLD = math.log2(ALPHA_THRESHOLD)
 # The reach is meant for bins and blocks, which may hold a pixel too many but not one too few.
 _SLACK = 2e-5
 
+_FAST = {"arcp", "contract"}  # one reciprocal for many divisions; NaN and infinity still count
+_jit = numba.njit(error_model="numpy", fastmath=_FAST)
 
-@numba.njit(error_model="numpy")
+
+@_jit
 def _rotation(quats, i):
     """The rotation matrix by rows, the unit quaternion, and the length that it had."""
     w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
@@ -52,7 +55,7 @@ def _rotation(quats, i):
     return rows, (w, x, y, z), length
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _turn(lens, x, y, z):
     """A direction in the world, in the camera."""
     return (
@@ -62,7 +65,7 @@ def _turn(lens, x, y, z):
     )
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _turn_back(lens, x, y, z):
     """A direction in the camera, in the world."""
     return (
@@ -72,14 +75,14 @@ def _turn_back(lens, x, y, z):
     )
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _place(means, i, lens):
     """The centre in the camera."""
     x, y, z = _turn(lens, np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]))
     return x + lens[3], y + lens[7], z + lens[11]
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _slopes(x, y, z, lens):
     """The slopes x / z and y / z, held to the frame and its margin: what is linearised."""
     fx, cx, fy, cy, width, height = lens[12:18]
@@ -89,7 +92,7 @@ def _slopes(x, y, z, lens):
     return slope_x, slope_y
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _axis(rotation, scales, i, k, lens):
     """Axis k of the Gaussian in the camera, one standard deviation long."""
     scale = np.float64(scales[i, k])
@@ -97,7 +100,7 @@ def _axis(rotation, scales, i, k, lens):
     return scale * x, scale * y, scale * z
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _project_one(means, quats, scales, opacities, i, lens, splat):
     """Fill in all columns but the colour, and give the radius; 0 if it is not in the picture."""
     x, y, z = _place(means, i, lens)
@@ -118,7 +121,9 @@ def _project_one(means, quats, scales, opacities, i, lens, splat):
         yy += down * down
     determinant = xx * yy - xy * xy
     reach = math.log2(opacity) - _LOG2_THRESHOLD + _SLACK
-    extent_x, extent_y = math.sqrt(reach * xx / _SCALE), math.sqrt(reach * yy / _SCALE)
+    deviation_x, deviation_y = math.sqrt(xx), math.sqrt(yy)
+    deviations = math.sqrt(reach / _SCALE)
+    extent_x, extent_y = deviations * deviation_x, deviations * deviation_y
     inside = (
         (u + extent_x > 0)
         and (u - extent_x < width)
@@ -127,12 +132,13 @@ def _project_one(means, quats, scales, opacities, i, lens, splat):
     )
     if not (inside and 0 < determinant < np.inf):  # a NaN anywhere ends here too
         return 0.0
-    root_xx = math.sqrt(_SCALE * yy / determinant)
+    root_yy = math.sqrt(_SCALE) / deviation_y
+    root_xx = math.sqrt(_SCALE / determinant) * deviation_y
     splat[CENTRE_X], splat[CENTRE_Y] = u, v
     splat[ROOT_XX] = root_xx
     splat[ROOT_YX] = -xy / yy * root_xx
-    splat[ROOT_YY] = math.sqrt(_SCALE / yy)
-    splat[LOG_OPACITY] = math.log2(opacity)
+    splat[ROOT_YY] = root_yy
+    splat[LOG_OPACITY] = reach + (_LOG2_THRESHOLD - _SLACK)
     splat[DEPTH] = z
     splat[REACH] = reach
     splat[EXTENT_X], splat[EXTENT_Y] = extent_x, extent_y
@@ -140,7 +146,7 @@ def _project_one(means, quats, scales, opacities, i, lens, splat):
     return max(extent_x, extent_y)
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _ray(means, i, lens):
     """The unit vector from the camera to the centre, and the distance, from `_place`."""
     x, y, z = _place(means, i, lens)
@@ -149,7 +155,7 @@ def _ray(means, i, lens):
     return x, y, z, distance
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _shade_one(means, sh, i, lens, splat):
     """Fill in the colour."""
     x, y, z, _ = _ray(means, i, lens)
@@ -161,7 +167,7 @@ def _shade_one(means, sh, i, lens, splat):
         splat[RED + channel] = 0.0 if value < 0 else value
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
 def project(means, quats, scales, opacities, sh, lens):
     """(splats [N, 16], radii [N]); the rows of those with radius 0 hold nothing."""
     splats = np.empty((len(means), COLUMNS), np.float32)
@@ -173,7 +179,7 @@ def project(means, quats, scales, opacities, sh, lens):
     return splats, radii
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _turn_gradient_back(turned, unit, length):
     """From the gradient by a unit vector of four (or three and a 0) to that by the vector."""
     along = unit[0] * turned[0] + unit[1] * turned[1] + unit[2] * turned[2] + unit[3] * turned[3]
@@ -185,7 +191,7 @@ def _turn_gradient_back(turned, unit, length):
     )
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _quaternion_gradient(columns, unit, length):
     """From the gradient by the rotation's columns to that by the quaternion."""
     (xx, yx, zx), (xy, yy, zy), (xz, yz, zz) = columns
@@ -199,7 +205,7 @@ def _quaternion_gradient(columns, unit, length):
     return _turn_gradient_back(by_unit, unit, length)
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _footprint_gradient(splat, grad):
     """By the centre (x, y) and by the covariance (xx, xy, yy) in pixels, from the moments."""
     a, b, c = splat[ROOT_XX] / _SCALE, splat[ROOT_YX] / _SCALE, splat[ROOT_YY] / _SCALE
@@ -212,7 +218,7 @@ def _footprint_gradient(splat, grad):
     return centre_x, centre_y, xx, xy, yy
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _project_one_backward(
     means, quats, scales, i, lens, footprint, by_depth, means_grad, quats_grad, scales_grad
 ):
@@ -261,7 +267,7 @@ def _project_one_backward(
         means_grad[i, k] = by_mean[k]
 
 
-@numba.njit(error_model="numpy")
+@_jit
 def _shade_one_backward(means, sh, i, lens, splat, grad, means_grad, sh_grad):
     """Write the gradient by the coefficients, and add to that by the centre what the ray gives."""
     x, y, z, distance = _ray(means, i, lens)
@@ -283,7 +289,7 @@ def _shade_one_backward(means, sh, i, lens, splat, grad, means_grad, sh_grad):
             means_grad[i, k] += by_ray[k]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
 def project_backward(means, quats, scales, opacities, sh, lens, splats, radii, grads):
     """Gradients by the five parameters and by the centres in the picture [N, 2].
 
