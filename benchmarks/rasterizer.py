@@ -180,7 +180,7 @@ def main() -> None:
     bound = pairs * OPERATIONS / peak
     table.add_row("arithmetic bound", f"{bound:.2f}", f"{bound:.2f}", f"{bound / ours:.2f}")
     console = Console()
-    console.print(f"{processor()}; numba {numba.get_num_threads()} threads")
+    console.print(f"{processor()}; numba threads: {numba.get_num_threads()}")
     console.print(table)
     console.print(
         f"{pairs / 1e6:.1f} M pairs of Gaussian and pixel, {OPERATIONS} operations each, at "

@@ -55,7 +55,6 @@ BLOCK = 4
 
 _X = np.tile(np.arange(BLOCK, dtype=np.float32), BLOCK)  # of a block's pixels, or a tile's blocks
 _Y = np.repeat(np.arange(BLOCK, dtype=np.float32), BLOCK)
-_ALL_BLOCKS = np.uint32((1 << LANES) - 1)
 _ONE_BIT, _TWO, _THREE = np.uint32(1), np.uint32(2), np.uint32(3)
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 _BLOCK, _LAST = np.float32(BLOCK), np.float32(BLOCK - 1)
