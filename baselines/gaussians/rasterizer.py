@@ -86,30 +86,34 @@ def blending_weights(
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, sh, background, camera, footprints):
-        parameters = [*map(_array, (means, quats, scales, opacities, sh))]
+        tensors = means, quats, scales, opacities, sh
+        parameters = [*map(_array, tensors)]
         lens, threads = lens_of(camera), numba.get_num_threads()
         splats, radii = project(*parameters, lens)
         rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
         bins = bin_splats(splats, depth_order(splats, radii), rows, columns, threads)
-        pictures, blocks = blend(
+        arrays, blocks = blend(
             splats, *bins, _array(background), camera.height, camera.width, threads
         )
+        pictures = tuple(map(torch.from_numpy, arrays))
         footprints.radii = torch.from_numpy(radii)
-        ctx.held = parameters, lens, splats, radii, (*bins, blocks), pictures, threads
-        ctx.footprints = footprints
-        return tuple(map(torch.from_numpy, pictures))
+        ctx.save_for_backward(*tensors, *pictures)  # torch then refuses if they were changed
+        ctx.held = lens, splats, radii, (*bins, blocks), footprints, threads
+        return pictures
 
     @staticmethod
     @once_differentiable
     def backward(ctx, by_rgb, by_depth, by_opacity):
-        parameters, lens, splats, radii, bins, pictures, threads = ctx.held
+        lens, splats, radii, bins, footprints, threads = ctx.held
+        saved = [*map(_array, ctx.saved_tensors)]
+        parameters, pictures = saved[:5], saved[5:]
         by_pictures = map(_array, (by_rgb, by_depth, by_opacity))
         shares = blend_backward(splats, *bins, *pictures, *by_pictures, threads)
         *grads, centres = project_backward(*parameters, lens, splats, radii, shares)
-        ctx.footprints.means2d_grad = torch.from_numpy(centres)
+        footprints.means2d_grad = torch.from_numpy(centres)
         by_background = None
         if ctx.needs_input_grad[5]:
-            through = 1 - torch.from_numpy(pictures[2])
+            through = 1 - ctx.saved_tensors[7]
             by_background = (through[..., None] * by_rgb).sum((0, 1))
         return *map(torch.from_numpy, grads), by_background, None, None
 

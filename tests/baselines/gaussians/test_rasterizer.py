@@ -370,6 +370,16 @@ class TestInput:
         rasterize(*leaves, straight_camera()).rgb.sum().backward()
         assert all(leaf.grad.dtype == torch.float64 for leaf in leaves)
 
+    @pytest.mark.parametrize("change", ["means", "rgb"])
+    def test_what_backward_needs_must_not_change(self, change: str) -> None:
+        gaussians = {name: value.requires_grad_() for name, value in one_gaussian().items()}
+        drawn = rasterize(*gaussians.values(), straight_camera())
+        loss = drawn.rgb.sum() + drawn.depth.sum()
+        with torch.no_grad():
+            (drawn.rgb if change == "rgb" else gaussians["means"]).add_(0.1)
+        with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+            loss.backward()
+
     def test_strided_tensors(self) -> None:
         rng = np.random.default_rng(8)
         camera = turned_camera(rng)

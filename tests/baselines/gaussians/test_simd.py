@@ -2,7 +2,6 @@
 
 import numba
 import numpy as np
-import pytest
 
 from baselines.gaussians import simd
 from baselines.gaussians.simd import LANES
@@ -12,53 +11,41 @@ A, B, C = rng.normal(size=(3, LANES)).astype(np.float32)
 A[3], B[5] = B[3], np.float32(0)
 
 
-def run(operation, *vectors: np.ndarray) -> np.ndarray:
-    """The vector that `operation` makes of vectors."""
-    operation = numba.njit(operation)
-
+def test_lane_by_lane() -> None:
     @numba.njit
-    def one(a, out):
-        simd.store(out, 0, operation(simd.load(a, 0)))
+    def run(arrays, out):
+        a, b, c = simd.load(arrays, 0), simd.load(arrays, 16), simd.load(arrays, 32)
+        mask = simd.greater(a, b)
+        simd.store(out[0], 0, a + b)
+        simd.store(out[1], 0, a - b)
+        simd.store(out[2], 0, a * b)
+        simd.store(out[3], 0, b / a)
+        simd.store(out[4], 0, a + 2.5)
+        simd.store(out[5], 0, np.float32(2.5) - b)
+        simd.store(out[6], 0, simd.minimum(a, b))
+        simd.store(out[7], 0, simd.maximum(a, 0.25))
+        simd.store(out[8], 0, simd.select(mask, a, 7.0))
+        simd.store(out[9], 0, simd.select(simd.both(mask, simd.greater(b, 0.0)), a, b))
+        simd.store(out[10], 0, simd.broadcast(1.5))
+        simd.store(out[11], 0, simd.fma(a, b, c))
 
-    @numba.njit
-    def two(a, b, out):
-        simd.store(out, 0, operation(simd.load(a, 0), simd.load(b, 0)))
-
-    @numba.njit
-    def three(a, b, c, out):
-        simd.store(out, 0, operation(simd.load(a, 0), simd.load(b, 0), simd.load(c, 0)))
-
-    out = np.empty(LANES, np.float32)
-    (one, two, three)[len(vectors) - 1](*vectors, out)
-    return out
-
-
-@pytest.mark.parametrize(
-    ("operation", "expected"),
-    [
-        (lambda a, b: a + b, A + B),
-        (lambda a, b: a - b, A - B),
-        (lambda a, b: a * b, A * B),
-        (lambda a, b: b / a, B / A),
-        (lambda a, b: a + 2.5, A + np.float32(2.5)),
-        (lambda a, b: np.float32(2.5) - b, np.float32(2.5) - B),
-        (lambda a, b: simd.minimum(a, b), np.minimum(A, B)),
-        (lambda a, b: simd.maximum(a, 0.25), np.maximum(A, np.float32(0.25))),
-        (lambda a, b: simd.select(simd.greater(a, b), a, 7.0), np.where(A > B, A, np.float32(7))),
-        (
-            lambda a, b: simd.select(simd.both(simd.greater(a, b), simd.greater(b, 0.0)), a, b),
-            np.where((A > B) & (B > 0), A, B),
-        ),
-        (lambda a, b: simd.broadcast(1.5) + b * 0.0, np.full(LANES, 1.5, np.float32)),
-    ],
-)
-def test_lane_by_lane(operation, expected: np.ndarray) -> None:
-    np.testing.assert_array_equal(run(operation, A, B), expected)
-
-
-def test_fma() -> None:
-    exact = A.astype(np.float64) * B + C
-    np.testing.assert_allclose(run(lambda a, b, c: simd.fma(a, b, c), A, B, C), exact, rtol=1e-5)
+    out = np.empty((12, LANES), np.float32)
+    run(np.concatenate([A, B, C]), out)
+    expected = [
+        A + B,
+        A - B,
+        A * B,
+        B / A,
+        A + np.float32(2.5),
+        np.float32(2.5) - B,
+        np.minimum(A, B),
+        np.maximum(A, np.float32(0.25)),
+        np.where(A > B, A, np.float32(7)),
+        np.where((A > B) & (B > 0), A, B),
+        np.full(LANES, 1.5, np.float32),
+    ]
+    np.testing.assert_array_equal(out[:11], expected)
+    np.testing.assert_allclose(out[11], A.astype(np.float64) * B + C, rtol=1e-5)
 
 
 def test_exp2() -> None:
@@ -102,6 +89,6 @@ def test_bits() -> None:
 
 def test_aligned() -> None:
     for count in (16, 80, 1536):
-        memory = numba.njit(lambda count: simd.aligned(count))(count)
+        memory = simd.aligned(count)
         assert memory.shape == (count,)
         assert memory.ctypes.data % 64 == 0
