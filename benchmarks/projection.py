@@ -89,18 +89,18 @@ def compare(title: str, points: np.ndarray) -> Table:
     return table
 
 
-def machine() -> str:
-    """The processor, its cores, and the threads that torch takes of them."""
+def processor() -> str:
+    """The processor and its cores."""
     described = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc").exists() else []
     names = [line.partition(": ")[2] for line in described if line.startswith("model name")]
     name = names[0] if names else platform.processor()
-    return f"{name}, {os.cpu_count()} cores; numba 1 thread, torch {torch.get_num_threads()}"
+    return f"{name}, {os.cpu_count()} cores"
 
 
 def main() -> None:
     """Print one table for each kind of cloud."""
     console = Console()
-    console.print(machine())
+    console.print(f"{processor()}; numba 1 thread, torch {torch.get_num_threads()}")
     clouds = {"scattered points": scattered_cloud(), "a point map": point_map()}
     for name, points in clouds.items():
         title = f"{len(points):,} float32 points into {SIZE} x {SIZE}: {name}"

@@ -1,0 +1,1 @@
+"""Gaussian splatting: a differentiable rasterizer for CPUs, which works without the rest."""
