@@ -191,7 +191,7 @@ def _pairs(observed: list[Observed]) -> Iterator[tuple[tuple[int, Observed], tup
         if (
             abs(view.frame - other.frame) <= FRAMES_APART
             and angle_between(view.camera.optical_axis, other.camera.optical_axis) < WIDEST_ANGLE
-            and not np.allclose(view.camera.centre, other.camera.centre)
+            and (view.camera.centre != other.camera.centre).any()
         ):
             yield one, two
 
@@ -199,12 +199,10 @@ def _pairs(observed: list[Observed]) -> Iterator[tuple[tuple[int, Observed], tup
 def _known_geometry(view: Observed, other: Observed) -> pycolmap.TwoViewGeometry:
     """The epipolar geometry that the calibration gives."""
     pose = pycolmap.Rigid3d((other.camera.camera_from_world @ view.camera.world_from_camera)[:3])
-    essential = pycolmap.essential_matrix_from_pose(pose)
     return pycolmap.TwoViewGeometry(
         config=int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED),
         cam2_from_cam1=pose,
-        E=essential,
-        F=np.linalg.inv(other.camera.K).T @ essential @ np.linalg.inv(view.camera.K),
+        E=pycolmap.essential_matrix_from_pose(pose),
     )
 
 

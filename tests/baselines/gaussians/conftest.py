@@ -56,7 +56,7 @@ def footprints_of():
 
 
 def textured(points):
-    """(N, 3) colours of the wall x = 8 in cells of a third of a metre, blended between their corners."""
+    """(N, 3) colours of the wall: random every third of a metre, and smooth between."""
     grid = np.random.default_rng(0).uniform(0, 1, (64, 64, 3)).astype(np.float32)
     places = (points[:, 1:] * 3 + 32).astype(np.float32)[None]
     return cv2.remap(grid, places, None, cv2.INTER_CUBIC)[0].clip(0, 1)

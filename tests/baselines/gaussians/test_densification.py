@@ -87,18 +87,32 @@ def test_parts_of_a_split_are_spread_as_their_parent(make_gaussians, generator):
 
 
 def test_gradients_are_averaged_over_the_views_that_show(make_gaussians, generator):
-    # Both have the same sum, but the first was shown in one view of two: only its mean is steep.
-    optimiser = optimiser_of(make_gaussians([0.5, 0.5]))
+    # All have the same sum, but the first is shown in one view of two: only its mean is steep. The
+    # third is not shown in the first view, and what is noted of it there is no matter.
+    optimiser = optimiser_of(make_gaussians([0.5] * 3))
     strategy = GradientStrategy(cap=10, schedule=Schedule(start=1, stop=100, every=1))
-    length = 3e-4 / 50
-    first = torch.tensor([[0.0, length], [0.0, length / 2]])
-    second = torch.tensor([[9.0, 9.0], [length / 2, 0.0]])  # of what is not shown: no matter
-    strategy.update(1, optimiser, Footprints(torch.ones(2), first), CAMERA, generator)
-    assert len(optimiser.gaussians) == 2
-    shown = torch.tensor([0.0, 1.0])
-    strategy.update(2, optimiser, Footprints(shown, second), CAMERA, generator)
+    first = Footprints(
+        torch.tensor([1.0, 1.0, 0.0]), torch.tensor([[0, STEEP], [0, STEEP / 2], [9.0, 9.0]])
+    )
+    second = Footprints(
+        torch.tensor([0.0, 1.0, 1.0]), torch.tensor([[0.0, 0.0], [STEEP / 2, 0], [FLAT, 0]])
+    )
+    strategy.update(1, optimiser, first, CAMERA, generator)
     assert len(optimiser.gaussians) == 3
-    assert torch.equal(optimiser.gaussians.means[2], optimiser.gaussians.means[0])
+    strategy.update(2, optimiser, second, CAMERA, generator)
+    assert len(optimiser.gaussians) == 4
+    assert torch.equal(optimiser.gaussians.means[3], optimiser.gaussians.means[0])
+
+
+def test_means_start_over_after_growth(make_gaussians, footprints_of, generator):
+    optimiser = optimiser_of(make_gaussians([0.5, 0.5]))
+    strategy = GradientStrategy(cap=10, schedule=EVERY)
+    strategy.update(1, optimiser, footprints_of([FLAT, FLAT]), CAMERA, generator)
+    assert len(optimiser.gaussians) == 2
+    # Steep by itself, but not on the average with the step before.
+    gradients = footprints_of([2.5e-4 / 50, FLAT])
+    strategy.update(2, optimiser, gradients, CAMERA, generator)
+    assert len(optimiser.gaussians) == 3
 
 
 def test_gradients_count_by_the_side_they_are_along(make_gaussians, generator):
@@ -223,6 +237,16 @@ def test_mcmc_grows_to_its_cap_by_twentieths(make_gaussians, footprints_of, gene
         strategy.update(step, optimiser, footprints_of(lengths), CAMERA, generator)
         counts.append(len(optimiser.gaussians))
     assert counts == [42, 44, 45, 45, 45]  # int(1.05 * 42) = 44, int(1.05 * 44) = 46
+
+
+def test_copies_and_their_originals_have_no_moments(make_gaussians, footprints_of, generator):
+    optimiser = optimiser_of(make_gaussians([0.5] * 40))
+    strategy = MCMCStrategy(cap=42, schedule=EVERY)
+    strategy.update(1, optimiser, footprints_of([FLAT] * 40), CAMERA, generator)
+    sh0 = optimiser.gaussians.sh0.detach()[:, 0]
+    copied = (sh0[:, None] == sh0[40:]).all(dim=2).any(dim=1)  # the copies too
+    assert copied.sum() in (3, 4)
+    assert torch.equal(moments(optimiser)[:, 0] == 0, copied)
 
 
 def test_mcmc_survives_when_all_are_dead(make_gaussians, footprints_of, generator):

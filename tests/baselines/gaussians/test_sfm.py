@@ -28,6 +28,7 @@ def test_points_lie_on_the_wall_and_have_its_colours(views_of_wall, wall_points)
     assert inside.mean() > 0.5
     errors = np.abs(image[rows[inside], columns[inside]] - rgb[inside])
     assert np.median(errors) < 0.03
+    assert np.abs((rgb[inside] - image[rows[inside], columns[inside]]).mean()) < 0.01  # no bias
 
 
 def test_the_same_views_give_the_same_bytes(views_of_wall, wall_points):
