@@ -1,0 +1,144 @@
+"""Where Gaussians start: points of SfM, of LiDAR, or random ones along the source views' rays."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from baselines.gaussians.sfm import triangulate
+from geoevs.adapter import Views
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.io import read_arrays, write_arrays
+from geoevs.scenes.scene import PointCloud
+from geoevs.training import fingerprint
+
+SOURCES = ("sfm", "lidar", "random")
+
+FEWEST = 100
+"""Points that a source must give: fewer leave most of a scene without any Gaussian to grow from."""
+
+RANDOM_POINTS = 5000
+RANDOM_DEPTHS = (2.0, 100.0)
+"""Metres: from the bonnet to where a street's facades end."""
+
+EXTENT_MARGIN = 1.1
+LEAST_EXTENT = 1.0
+"""Metres: Gaussians must be able to move also where the cameras do not."""
+
+
+@dataclass(frozen=True)
+class StartingPoints:
+    """Coloured points, and a note that says where they come from and why not from elsewhere."""
+
+    xyz: np.ndarray  # [N, 3] float32, world, metres
+    rgb: np.ndarray  # [N, 3] float32 in [0, 1]
+    note: str
+
+
+def starting_points(
+    views: Views,
+    most: int,
+    rng: np.random.Generator,
+    first: str = "sfm",
+    cache: Path | None = None,
+) -> StartingPoints:
+    """Points to put the first Gaussians at, from the first source that has enough of them.
+
+    `first` is tried first, then SfM, the LiDAR where the method declared it, and random points.
+
+    Args:
+        views: what the method may see.
+        most: a random choice of this many points is kept of more.
+        rng: chooses, and draws random points.
+        first: one of SOURCES.
+        cache: an .npz file that keeps the points of SfM; it is remade when the views differ.
+
+    Raises:
+        GeoEvsError: there is no such source, or the cache is damaged.
+    """
+    if first not in SOURCES:
+        raise GeoEvsError(f"points cannot start from '{first}'; {did_you_mean(first, SOURCES)}")
+    makers: dict[str, Callable[[], StartingPoints]] = {
+        "sfm": lambda: _sfm_points(views, cache),
+        "lidar": lambda: _lidar_points(views),
+        "random": lambda: _random_points(views, rng),
+    }
+    reasons = []
+    for source in sorted(SOURCES, key=lambda source: source != first):  # stable
+        if source == "lidar" and not views.has("lidar"):
+            continue
+        points = makers[source]()
+        if len(points.xyz) >= FEWEST or source == "random":
+            break
+        reasons.append(f"{points.note}, too few")
+    if len(points.xyz) > most:
+        keep = np.sort(rng.choice(len(points.xyz), most, replace=False))
+        points = StartingPoints(points.xyz[keep], points.rgb[keep], f"{most} of {points.note}")
+    return dataclasses.replace(points, note="; ".join([f"starts from {points.note}", *reasons]))
+
+
+def scene_extent(views: Views) -> float:
+    """1.1 times the farthest source camera's distance from their mean, metres, as 3DGS has it."""
+    centres = np.array(
+        [views.camera(name, frame).centre for frame in views.frames for name in views.cameras]
+    )
+    radius = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    return max(EXTENT_MARGIN * float(radius), LEAST_EXTENT)
+
+
+def _sfm_points(views: Views, cache: Path | None) -> StartingPoints:
+    identity = _identity(views) if cache else ""
+    if cache and cache.exists():
+        arrays = read_arrays(cache)
+        if {"xyz", "rgb", "identity"} <= arrays.keys() and arrays["identity"] == identity:
+            return _from_sfm(arrays["xyz"], arrays["rgb"])
+    xyz, rgb = triangulate(views)
+    if cache:
+        write_arrays(cache, {"xyz": xyz, "rgb": rgb, "identity": np.array(identity)})
+    return _from_sfm(xyz, rgb)
+
+
+def _from_sfm(xyz: np.ndarray, rgb: np.ndarray) -> StartingPoints:
+    return StartingPoints(xyz, rgb, f"{len(xyz)} points of SfM")
+
+
+def _identity(views: Views) -> str:
+    """What decides the points: calibration and images."""
+    parts = []
+    for frame in views.frames:
+        for name in views.cameras:
+            camera = views.camera(name, frame)
+            parts += [frame, name, camera.K, camera.world_from_camera, views.image(name, frame)]
+    return fingerprint(*parts)
+
+
+def _lidar_points(views: Views) -> StartingPoints:
+    """All frames' points that a camera gave a colour."""
+    clouds = [views.lidar(frame) for frame in views.frames]
+    coloured: list[PointCloud] = [cloud.select(cloud.camera >= 0) for cloud in clouds]
+    xyz = np.concatenate([cloud.xyz for cloud in coloured])
+    rgb = np.concatenate([cloud.rgb for cloud in coloured])
+    return StartingPoints(xyz, rgb, f"{len(xyz)} LiDAR points")
+
+
+def _random_points(views: Views, rng: np.random.Generator) -> StartingPoints:
+    """Random pixels at random depths, as many at 2 to 4 metres as at 50 to 100."""
+    seers = [(name, frame) for frame in views.frames for name in views.cameras]
+    shares = np.bincount(rng.integers(len(seers), size=RANDOM_POINTS), minlength=len(seers))
+    xyz, rgb = [], []
+    for (name, frame), count in zip(seers, shares, strict=True):
+        camera, image = views.camera(name, frame), views.image(name, frame)
+        rows = rng.integers(camera.height, size=count)
+        columns = rng.integers(camera.width, size=count)
+        depth = np.exp(rng.uniform(*np.log(RANDOM_DEPTHS), count))
+        pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(count)])
+        rays = camera.world_from_camera[:3, :3] @ np.linalg.solve(camera.K, pixels)
+        xyz.append(camera.centre + (depth * rays).T)
+        rgb.append(image[rows, columns])
+    return StartingPoints(
+        np.concatenate(xyz).astype(np.float32),
+        np.concatenate(rgb).astype(np.float32),
+        f"{RANDOM_POINTS} random points",
+    )
