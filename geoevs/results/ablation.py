@@ -28,10 +28,11 @@ MEASURES = (
 TITLE = "Ablation: masks in training (paper table 4)"
 LEGEND = """First table: mean [bootstrap interval over frames within scenes], dB. Second table: the
 full model minus the variant, paired by scene, frame, target and training seed [bootstrap interval
-over frames within scenes and over seeds]; bold where the interval leaves out zero. `paper` =
-printed in the paper, measured there on Waymo. Masked views: `supported` pixels are left in the
-degraded condition, `removed` ones were hidden by the mask, `never` ones had no support before it,
-and `unsupported` are those two together. Empty = not run, or not measurable here.
+over frames within scenes and over seeds]; bold where the interval leaves out zero. Third table:
+standard deviation over training seeds of a seed's mean. `paper` = printed in the paper, measured
+there on Waymo. Masked views: `supported` pixels are left in the degraded condition, `removed` ones
+were hidden by the mask, `never` ones had no support before it, and `unsupported` are those two
+together. Empty = not run, or not measurable here.
 """
 
 
@@ -44,8 +45,9 @@ def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
 
     Returns:
         Columns `dataset`, `variant`, `seeds` (how many), and for every measure (see `column_name`)
-        its mean, `_low` and `_high`, and of the paired difference full model minus variant `_diff`,
-        `_diff_low` and `_diff_high`; `_paper` where the paper has it; `failed` views and `note`.
+        its mean, `_low` and `_high`, of the paired difference full model minus variant `_diff`,
+        `_diff_low` and `_diff_high`, and `_seed_sd`, the standard deviation of the seeds' means;
+        `_paper` where the paper has it; `failed` views and `note`.
         A data set without any variant has one row that says so.
 
     Raises:
@@ -89,6 +91,7 @@ def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str
         difference = paired_difference(_of(full, split, metric), others, **_bootstrap(settings))
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
+        row[f"{name}_seed_sd"] = _of(mine, split, metric).groupby("seed")["value"].mean().std()
         pairs += difference.pairs
     row["failed"] = len(mine[mine["status"] == FAILED].drop_duplicates(PAIR))
     row["note"] = _note(variant, row["failed"], pairs)
@@ -148,6 +151,8 @@ def _grids(rows: pd.DataFrame) -> Iterator[Grid]:
     others = [row for row in variants if row["variant"] != FULL]
     if others and len(others) < len(variants):
         yield _grid("full model minus, dB", others, _difference, _paper_difference, [])
+    if any(row["seeds"] > 1 for row in variants):
+        yield _grid("over seeds, dB", variants, _spread, lambda row, name: "", [])
 
 
 def _grid(
@@ -180,6 +185,10 @@ def _difference(row: dict[str, Any], name: str) -> str:
     low, high = row[f"{name}_diff_low"], row[f"{name}_diff_high"]
     text = _with_interval("{:+.2f}", row[f"{name}_diff"], low, high)
     return f"**{text}**" if low > 0 or high < 0 else text
+
+
+def _spread(row: dict[str, Any], name: str) -> str:
+    return _with_interval("{:.2f}", row[f"{name}_seed_sd"], math.nan, math.nan)
 
 
 def _paper_difference(row: dict[str, Any], name: str) -> str:

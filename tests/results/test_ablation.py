@@ -56,11 +56,24 @@ def test_differences_are_of_pairs(table):
     assert (variant["seeds"], variant["note"], full["note"]) == (1, "", "")
 
 
+def test_the_seeds_spread_is_of_their_means(table):
+    made = table(
+        *values("default", [20.0, 22.0], seed=0),
+        *values("default", [23.0, 25.0], seed=1),
+        *values("v1", [20.0]),
+    )
+    variant, full = by_variant(made).values()
+    assert full["extrapolation_sparse_psnr_seed_sd"] == pytest.approx(3 / math.sqrt(2))  # 21, 24
+    assert math.isnan(variant["extrapolation_sparse_psnr_seed_sd"])  # one seed
+    assert "| over seeds, dB" in ablation_markdown(made)
+    assert "| over seeds, dB" not in ablation_markdown(table(*values("v1", [20.0])))
+
+
 def test_every_measure_has_its_columns(table):
     made = table(*values("v1", [1.0]))
     for split, metric in MEASURES:
         name = column_name(split, metric)
-        for suffix in ("", "_low", "_high", "_diff", "_diff_low", "_diff_high"):
+        for suffix in ("", "_low", "_high", "_diff", "_diff_low", "_diff_high", "_seed_sd"):
             assert f"{name}{suffix}" in made
     assert [name for name in made if name.endswith("_paper")] == ["extrapolation_sparse_psnr_paper"]
 
