@@ -80,24 +80,31 @@ def conditioned(prior: Denoiser, encoder: nn.Module, prediction: str = "v_predic
     """A denoiser of [z_t, c] that takes over an unconditional one's parts.
 
     It starts as the unconditional one; or, if it predicts residuals, as the condition's own latent.
+    Then the UNet's first layer reads that latent as the prior reads its own, and other features at
+    random: were they zero too, beside a last layer of zeros, nothing would be learned for long.
     """
-    _widen(prior.unet, encoder.channels)
     denoiser = Denoiser(prior.unet, encoder, prediction)
     denoiser.prompt = prior.prompt
+    _widen(prior.unet, encoder.channels, zero=not denoiser.residual)
     if denoiser.residual:
-        nn.init.zeros_(prior.unet.conv_out.weight)
-        nn.init.zeros_(prior.unet.conv_out.bias)
+        with torch.no_grad():
+            latents = prior.unet.config.out_channels
+            weight = prior.unet.conv_in.weight
+            weight[:, latents : 2 * latents] = weight[:, :latents]
+            prior.unet.conv_out.weight.zero_()
+            prior.unet.conv_out.bias.zero_()
     return denoiser
 
 
-def _widen(unet: UNet2DConditionModel, channels: int) -> None:
-    """Let a UNet's first layer read `channels` more, which change nothing until it is trained."""
+def _widen(unet: UNet2DConditionModel, channels: int, zero: bool) -> None:
+    """Let a UNet's first layer read `channels` more, by weights that are zero or random."""
     old = unet.conv_in
     new = nn.Conv2d(
         old.in_channels + channels, old.out_channels, old.kernel_size, padding=old.padding
     )
     with torch.no_grad():
-        new.weight.zero_()
+        if zero:
+            new.weight.zero_()
         new.weight[:, : old.in_channels] = old.weight
         new.bias.copy_(old.bias)
     unet.conv_in = new

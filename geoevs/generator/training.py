@@ -231,5 +231,5 @@ def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoise
             if settings.encoder == "frozen"
             else ConditionEncoder(prior.autoencoder, validity=settings.validity)
         )
-    device = next(prior.autoencoder.parameters()).device
-    return conditioned(prior.denoiser, encoder, prior.diffusion.prediction).to(device)
+        denoiser = conditioned(prior.denoiser, encoder, prior.diffusion.prediction)
+    return denoiser.to(next(prior.autoencoder.parameters()).device)

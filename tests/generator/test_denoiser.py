@@ -28,7 +28,10 @@ def test_a_denoiser_of_residuals_starts_as_the_conditions_own_latent(networks):
     features = denoiser.features(image, valid)
     filled = autoencoder.encode(push_pull(image, valid))
     assert torch.equal(denoiser(noisy(), T, features), filled)
-    # From there it learns.
+    # The UNet reads that latent as it read its own, and what it does not use yet, it can learn to.
+    weight = denoiser.unet.conv_in.weight
+    assert torch.equal(weight[:, 4:8], weight[:, :4])
+    assert weight[:, 8:].abs().min() > 0
     denoiser(noisy(), T, features).square().mean().backward()
     assert denoiser.unet.conv_out.weight.grad.abs().max() > 0
 
