@@ -88,7 +88,7 @@ def test_the_mean_of_several_is_that_of_each(networks, monkeypatch):
         monkeypatch.setattr(torch, "randn", lambda *_, part=part, **__: part)
         each.append(generator.generate(shown, valid, FAST, random()))
     assert np.abs(each[0] - each[1]).max() > 0.01
-    np.testing.assert_allclose(mean, np.mean(each, axis=0), atol=0.02)  # bfloat16 in batches
+    np.testing.assert_allclose(mean, np.mean(each, axis=0), atol=0.05)  # bfloat16, clipped
 
 
 def test_a_generator_comes_back(networks, tmp_path):

@@ -54,5 +54,6 @@ def test_a_hole_continues_what_is_around_it():
     known = torch.ones(1, 1, 64, 64, dtype=bool)
     known[..., 24:40, 24:40] = False
     filled = push_pull(ramp, known)
-    assert (filled - ramp).abs().max() < 0.15
-    assert filled.diff(dim=3).abs().max() < 0.1  # no seam
+    # A ramp is the membrane that its own border spans.
+    assert (filled - ramp).abs().max() < 0.03
+    assert filled.diff(dim=3).abs().max() < 0.03  # no seam
