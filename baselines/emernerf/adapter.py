@@ -14,7 +14,7 @@ from geoevs.progress import training_bar
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
-    from baselines.emernerf.model import EmerNeRF
+    from baselines.emernerf.model import EmerNeRF, Rendered
     from baselines.emernerf.rays import Place
 
 # torch is imported where the field is made: configs are checked without one.
@@ -103,16 +103,51 @@ class Method:
         """Render the fields; source images keep their appearance, other views get the mean."""
         import torch
 
+        seen, directions = self._look(camera, frame)
+        rgb = torch.cat([part.rgb for part in seen]).clamp(0, 1).cpu().numpy()
+        ranges = torch.cat([part.depth for part in seen]).cpu().numpy()
+        solid = torch.cat([part.opacity for part in seen]).cpu().numpy() > SOLID
+        along = directions @ camera.optical_axis.astype(np.float32)
+        shape = camera.height, camera.width
+        depth = np.where(solid, ranges * along, 0).astype(np.float32)
+        return Rendering(rgb.reshape(*shape, 3), depth.reshape(shape))
+
+    def motion(self, camera: Camera, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """What emerged as moving in a view.
+
+        Returns:
+            (H, W) share of a pixel's light that comes from the dynamic field, and (H, W, 3) mean
+            forward flow there, metres a frame; both 0 in a static scene.
+        """
+        import torch
+
+        shape = camera.height, camera.width
+        if self._model.dynamic is None:
+            return np.zeros(shape, np.float32), np.zeros((*shape, 3), np.float32)
+        shares, flows = [], []
+        for part in self._look(camera, frame)[0]:
+            weights = part.weights * part.motion.share
+            forward = part.motion.flow.view(*weights.shape, 6)[..., :3]
+            shares.append(weights.sum(1))
+            mean = (weights[..., None] * forward).sum(1) / shares[-1][:, None].clamp_min(1e-6)
+            flows.append(mean)
+        share, flow = torch.cat(shares).cpu().numpy(), torch.cat(flows).cpu().numpy()
+        return share.reshape(shape), flow.reshape(*shape, 3)
+
+    def _look(self, camera: Camera, frame: int) -> tuple[list["Rendered"], np.ndarray]:
+        """What the rays of all pixels see, chunk by chunk, and their directions (H * W, 3)."""
+        import torch
+
         from baselines.emernerf.model import Rays
         from baselines.emernerf.rays import pixel_rays
 
         rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
         uv = np.column_stack([columns.ravel(), rows.ravel()])
-        origins, directions = map(torch.from_numpy, pixel_rays(camera, uv, self._place))
+        origins, directions = pixel_rays(camera, uv, self._place)
         image = self._images.get((camera.name, frame), -1)
         rays = Rays(
-            origins,
-            directions,
+            torch.from_numpy(origins),
+            torch.from_numpy(directions),
             torch.full((len(uv),), self._place.time(frame)),
             torch.full((len(uv),), image, dtype=torch.int64),
         )
@@ -120,13 +155,7 @@ class Method:
         chunks = zip(*(part.split(CHUNK) for part in rays), strict=True)
         with torch.inference_mode():
             seen = [self._model.render(Rays(*(p.to(device) for p in chunk))) for chunk in chunks]
-            rgb = torch.cat([part.rgb for part in seen]).clamp(0, 1).cpu().numpy()
-            ranges = torch.cat([part.depth for part in seen]).cpu().numpy()
-            solid = torch.cat([part.opacity for part in seen]).cpu().numpy() > SOLID
-        along = directions.numpy() @ camera.optical_axis.astype(np.float32)
-        shape = camera.height, camera.width
-        depth = np.where(solid, ranges * along, 0).astype(np.float32)
-        return Rendering(rgb.reshape(*shape, 3), depth.reshape(shape))
+        return seen, directions
 
     def save(self, folder: Path) -> None:
         """Write the fields' weights, the scene's place and which image is which."""

@@ -104,19 +104,18 @@ class DynamicField(nn.Module):
         Args:
             positions: in metres.
             times: in [0, 1].
-            generator: draws how far along the flow neighbours are looked up, up to one step, as in
-                training; without one it is a whole step.
+            generator: in training, draws which neighbour to look at; without one it is both.
 
         Returns:
             (N, features), and (N, 6) forward and backward flow.
         """
         places = self._places(positions, times)
         here, flow = self.content(places), self.flow(places)
-        ahead, behind = self._neighbours(positions, times, flow, generator)
+        ahead, behind = self._neighbours(positions, times, flow)
         if generator is None:
             around = self.content(torch.cat([ahead, behind])).view(2, len(positions), -1).mean(0)
         else:
-            # One of the two, at random, has the mean that both would have, for half the work.
+            # One of the two, at random, is in the mean what both are, for half the work.
             coin = torch.rand(times.shape, generator=generator).to(times) < 0.5
             around = self.content(torch.where(coin[:, None], ahead, behind))
         return (here + around) / 2, flow
@@ -126,24 +125,23 @@ class DynamicField(nn.Module):
         positions: Tensor,  # [N, 3]
         times: Tensor,  # [N]
         flow: Tensor,  # [N, 6]
-        generator: torch.Generator,
     ) -> Tensor:
         """The cycle loss: the flow back, from where the flow led, is its opposite."""
-        ahead, behind = self._neighbours(positions, times, flow, generator)
+        ahead, behind = self._neighbours(positions, times, flow)
         there, before = self.flow(torch.cat([ahead, behind])).view(2, len(positions), 6)
         forward, backward = flow.detach().split(3, dim=1)
         return 0.5 * ((forward + there[:, 3:]) ** 2 + (backward + before[:, :3]) ** 2).mean()
 
     def _neighbours(
-        self, positions: Tensor, times: Tensor, flow: Tensor, generator: torch.Generator | None
+        self,
+        positions: Tensor,  # [N, 3]
+        times: Tensor,  # [N]
+        flow: Tensor,  # [N, 6]
     ) -> tuple[Tensor, Tensor]:
-        """Places one step, or a random part of one, ahead and behind."""
-        share = torch.ones_like(times)
-        if generator is not None:
-            share = torch.rand(times.shape, generator=generator).to(times)
-        forward, backward = (flow * share[:, None]).split(3, dim=1)
-        ahead = self._places(positions + forward, (times + self.step * share).clamp(0, 1))
-        behind = self._places(positions + backward, (times - self.step * share).clamp(0, 1))
+        """(N, 4) places one step ahead and one behind."""
+        forward, backward = flow.split(3, dim=1)
+        ahead = self._places(positions + forward, (times + self.step).clamp_max(1))
+        behind = self._places(positions + backward, (times - self.step).clamp_min(0))
         return ahead, behind
 
     def _places(self, positions: Tensor, times: Tensor) -> Tensor:

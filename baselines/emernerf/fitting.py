@@ -78,7 +78,7 @@ def fit_model(
         optimiser.param_groups[0]["lr"] = fitting.learning_rate_at(done)
         batch, rgb, sky = rays.pixels(fitting.rays, generator)
         batch = type(batch)(*(part.to(device) for part in batch))
-        losses = image_losses(model, batch, rgb.to(device), sky.to(device), generator)
+        losses = image_losses(model, batch, rgb.to(device), sky.to(device), done, generator)
         if len(rays.ends):
             batch, ranges = rays.measured(fitting.rays // 4, generator)
             batch = type(batch)(*(part.to(device) for part in batch))

@@ -10,6 +10,7 @@ from baselines.emernerf.sampling import proposal_loss
 FARTHEST = 80.0  # metres that depths are divided by, and beyond which none counts
 SIGHT_MARGIN = 3.0, 1.0  # metres around a LiDAR point where light may end: at first, at last
 SIGHT_START, SIGHT_HALF = 0.08, 0.2  # shares of the fit: when it starts, how soon it halves
+DYNAMIC_START = 0.3
 SKY, DYNAMIC, SHADOW, CYCLE, SIGHT = 0.001, 0.001, 0.01, 0.01, 0.1
 
 
@@ -18,9 +19,10 @@ def image_losses(
     rays: Rays,
     rgb: Tensor,  # [R, 3]
     sky: Tensor,  # [R] bool
+    done: float,
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
-    """Losses of pixels' rays, by name."""
+    """Losses of pixels' rays, by name; `done` is the share of the fit so far."""
     seen = model.render(rays, generator)
     opacity = seen.opacity.clamp(1e-6, 1 - 1e-6)
     losses = {
@@ -29,7 +31,8 @@ def image_losses(
         "proposal": proposal_loss(seen.edges, seen.weights, seen.proposals),
     }
     if seen.motion is not None:
-        losses["dynamic"] = DYNAMIC * seen.motion.densities.mean()
+        sparse = DYNAMIC if done >= DYNAMIC_START else 0.0
+        losses["dynamic"] = sparse * seen.motion.densities.mean()
         losses["shadow"] = SHADOW * seen.motion.shadow.mean()
         losses["cycle"] = CYCLE * model.cycle(rays, seen, generator)
     return losses

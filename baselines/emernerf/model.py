@@ -102,14 +102,18 @@ class EmerNeRF(nn.Module):
             grid = HashGrid(dims, levels, COARSEST, finest, entries, generator)
             return HashField(grid, hidden, out)
 
+        def moving(levels: int, entries: int, hidden: tuple[int, ...], out: int) -> HashField:
+            # Cells double, so that every level has a vertex at every frame's time.
+            return field(4, levels, COARSEST << levels - 1, entries, hidden, out)
+
         self.static = field(3, levels, 4096, entries, (2 * width,), width)
         self.proposals = nn.ModuleList(
             field(3, levels // 2, finest, entries - 2, (width // 2,), 1) for finest in (256, 1024)
         )
         self.dynamic = self.shadow = None
         if step is not None:
-            content = field(4, levels // 2, 512, entries - 1, (width,), width)
-            flow = field(4, levels // 2 - 1, 128, entries - 2, (width, width), 6)
+            content = moving(levels // 2, entries, (width,), width)
+            flow = moving(levels // 2 - 1, entries - 1, (width, width), 6)
             self.dynamic = DynamicField(content, flow, box, step, COARSEST)
             self.shadow = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
         self.appearance = nn.Embedding(images, APPEARANCE)
@@ -154,7 +158,7 @@ class EmerNeRF(nn.Module):
         chosen = torch.randperm(len(times), generator=generator)[: len(times) // 4]
         chosen = chosen.to(times.device)
         return self.dynamic.cycle(
-            points.view(-1, 3)[chosen], times[chosen], rendered.motion.flow[chosen], generator
+            points.view(-1, 3)[chosen], times[chosen], rendered.motion.flow[chosen]
         )
 
     def _proposed(self, field: HashField):
