@@ -46,7 +46,7 @@ def lidar_losses(
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
     """Losses of LiDAR points' rays, by name; `done` is the share of the fit so far."""
-    seen = model.render(rays, generator, colour=False)
+    seen = model.render(rays, generator, ranges)
     near = ranges < FARTHEST
     depth = (seen.depth / FARTHEST).clamp(0, 1)
     losses = {

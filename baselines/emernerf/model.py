@@ -15,11 +15,19 @@ from baselines.emernerf.fields import (
     to_density,
 )
 from baselines.emernerf.hash_grid import HashGrid
-from baselines.emernerf.sampling import Proposal, points_along, propose, to_distance, weigh
+from baselines.emernerf.sampling import (
+    Proposal,
+    points_along,
+    propose,
+    to_distance,
+    to_place,
+    weigh,
+)
 
 DIRECTION_FEATURES = 27
 COARSEST = 16  # cells along an axis of every grid's first level
 APPEARANCE = 16  # numbers an image's embedding has
+AROUND = (-1.0, -0.3, 0.3, 1.0)  # metres from a LiDAR point, where its ray's extra samples end
 # Samples that weigh less than this in their ray get no colour: nobody would see it.
 SEEN = 1e-4
 
@@ -121,13 +129,26 @@ class EmerNeRF(nn.Module):
         self.sky = ColourHead(0, DIRECTION_FEATURES + APPEARANCE, width)
 
     def render(
-        self, rays: Rays, generator: torch.Generator | None = None, colour: bool = True
+        self,
+        rays: Rays,
+        generator: torch.Generator | None = None,
+        ranges: Tensor | None = None,  # [R]
     ) -> Rendered:
-        """Render rays; a generator jitters the samples, as in training."""
+        """Render rays.
+
+        Args:
+            rays: what to render.
+            generator: jitters the samples, as in training.
+            ranges: of LiDAR rays, metres: they get samples around them too, and no colour.
+        """
         fields = [self._proposed(field) for field in self.proposals]
         edges, proposals = propose(
             fields, self.sizes.samples, rays.origins, rays.directions, generator
         )
+        if ranges is not None:
+            # Proposals forget what is there in few frames; measured points keep it in sight.
+            around = ranges[:, None] + torch.tensor(AROUND, device=ranges.device)
+            edges = torch.cat([edges, to_place(around)], dim=1).sort(dim=1).values
         distances = to_distance(edges)
         points = points_along(rays.origins, rays.directions, distances)
         shape = points.shape[:2]
@@ -144,7 +165,7 @@ class EmerNeRF(nn.Module):
         depth = (weights * middles).sum(1) / opacity.clamp_min(1e-6)
         share = None if moving is None else (densities - still) / densities.clamp_min(1e-6)
         rgb = shadow = None
-        if colour:
+        if ranges is None:
             rgb, shadow = self._colours(rays, weights, features, moving, share)
         motion = None
         if moving is not None:

@@ -29,6 +29,16 @@ def to_distance(
     return torch.where(places < 0.5, places * 2 * EVEN, EVEN / (2 - 2 * places))
 
 
+def to_place(
+    distances: Tensor,  # [...] metres
+) -> Tensor:
+    """(...) in [0, 1]: the inverse of `to_distance`, clamped."""
+    low, high = NEAR / (2 * EVEN), 1 - EVEN / (2 * FAR)
+    far = 1 - EVEN / (2 * distances.clamp_min(EVEN))
+    places = torch.where(distances < EVEN, distances / (2 * EVEN), far)
+    return ((places - low) / (high - low)).clamp(0, 1)
+
+
 def weigh(
     densities: Tensor,  # [R, S]
     distances: Tensor,  # [R, S + 1] of the samples' edges
