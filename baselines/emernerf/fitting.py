@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from baselines.emernerf.losses import image_losses, lidar_losses
-from baselines.emernerf.model import EmerNeRF
+from baselines.emernerf.model import EmerNeRF, Rays
 from baselines.emernerf.rays import TrainingRays
 from geoevs.errors import GeoEvsError
 
@@ -76,12 +76,12 @@ def fit_model(
             return step
         done = max(step / fitting.iterations, spent)
         optimiser.param_groups[0]["lr"] = fitting.learning_rate_at(done)
-        batch, rgb, sky = rays.pixels(fitting.rays, generator)
-        batch = type(batch)(*(part.to(device) for part in batch))
-        losses = image_losses(model, batch, rgb.to(device), sky.to(device), done, generator)
+        batch, *seen, cell = rays.pixels(fitting.rays, generator)
+        batch, (rgb, sky) = _moved(batch, device), (part.to(device) for part in seen)
+        losses, errors = image_losses(model, batch, rgb, sky, done, generator)
         if len(rays.ends):
             batch, ranges = rays.measured(fitting.rays // 4, generator)
-            batch = type(batch)(*(part.to(device) for part in batch))
+            batch = _moved(batch, device)
             losses |= lidar_losses(model, batch, ranges.to(device), done, generator)
         loss = torch.stack(list(losses.values())).sum()
         if not bool(torch.isfinite(loss)):
@@ -93,5 +93,10 @@ def fit_model(
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
+        rays.learn_errors(cell, errors.cpu())
         report(loss.item())
     return fitting.iterations
+
+
+def _moved(rays: Rays, device: torch.device) -> Rays:
+    return Rays(*(part.to(device) for part in rays))

@@ -1,7 +1,7 @@
 """What EmerNeRF learns from: rays through pixels and LiDAR points, the scene's box, its motion."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,6 +17,8 @@ from geoevs.scenes.camera import Camera
 QUANTILE = 0.02  # of LiDAR coordinates that the box leaves out at either end, as published
 HEIGHT = 20.0  # metres that the box reaches up at least
 AROUND = 40.0  # metres around the cameras, where there is no LiDAR
+ERROR_SHARE, ERROR_CELL = 0.5, 8  # share of rays that go where errors are; pixels of their map
+LEAST_ERROR = 1e-8  # so that all may be right
 SMALLEST = 1.0  # metre of the box, so that it can be divided by
 
 
@@ -67,6 +69,15 @@ def pixel_rays(
     return origins.astype(np.float32), rays.astype(np.float32)
 
 
+class PixelBatch(NamedTuple):
+    """Rays through pixels, and what was seen there."""
+
+    rays: Rays
+    rgb: Tensor  # [R, 3]
+    sky: Tensor  # [R] bool
+    cell: Tensor  # [R] int64: of the error map, for `learn_errors`
+
+
 @dataclass(frozen=True)
 class TrainingRays:
     """Every pixel of a scene's images, and every LiDAR point as its cameras see it.
@@ -83,11 +94,12 @@ class TrainingRays:
     times: Tensor  # [I] float32
     ends: Tensor  # [P, 3] float32: LiDAR points
     seen_from: Tensor  # [P] int64: the image that sees each
+    errors: Tensor  # [I, H / ERROR_CELL, W / ERROR_CELL] recent squared errors, learned
 
     @classmethod
     def make(cls, views: Views, clouds: dict[int, np.ndarray], place: Place) -> "TrainingRays":
         """Collect them; `clouds` has the (N, 3) LiDAR points of every frame."""
-        columns: dict[str, list] = {name: [] for name in cls.__dataclass_fields__}
+        columns: dict[str, Any] = {name: [] for name in cls.__dataclass_fields__}
         for frame in views.frames:
             points = clouds[frame]
             for name in views.cameras:
@@ -108,20 +120,46 @@ class TrainingRays:
             columns[name] = torch.from_numpy(np.stack(columns[name]))
         columns["seen_from"] = torch.from_numpy(np.concatenate(columns["seen_from"]))
         columns["ends"] = torch.from_numpy(np.concatenate(columns["ends"]).astype(np.float32))
+        images, height, width = columns["sky"].shape
+        columns["errors"] = torch.ones(images, -(-height // ERROR_CELL), -(-width // ERROR_CELL))
         return cls(**columns)
 
-    def pixels(self, count: int, generator: torch.Generator) -> tuple[Rays, Tensor, Tensor]:
-        """Rays through random pixels' centres, (R, 3) float32 colours, and (R,) bool sky."""
-        flat = torch.randint(self.sky.numel(), (count,), generator=generator)
+    def pixels(self, count: int, generator: torch.Generator) -> PixelBatch:
+        """Rays through random pixels' centres, a part of them where errors were large."""
         _, height, width = self.sky.shape
-        image, pixel = flat // (height * width), flat % (height * width)
-        uv = torch.stack([pixel % width, pixel // width], dim=1) + 0.5
+        often = round(ERROR_SHARE * count)
+        anywhere = torch.randint(self.sky.numel(), (count - often,), generator=generator)
+        _, down, across = self.errors.shape
+        wrong = self.errors.view(-1) + LEAST_ERROR
+        cell = torch.multinomial(wrong, often, replacement=True, generator=generator)
+        inside = torch.randint(ERROR_CELL**2, (often,), generator=generator)
+        row = cell // across % down * ERROR_CELL + inside // ERROR_CELL
+        column = cell % across * ERROR_CELL + inside % ERROR_CELL
+        row, column = row.clamp_max(height - 1), column.clamp_max(width - 1)
+        there = (cell // (down * across) * height + row) * width + column
+        pixel = torch.cat([anywhere, there])
+        image, row, column = (
+            pixel // (height * width),
+            pixel // width % height,
+            pixel % width,
+        )
+        uv = torch.stack([column, row], dim=1) + 0.5
         focal, middle = self.intrinsics[image].split(2, dim=1)
         ahead = torch.cat([(uv - middle) / focal, torch.ones(count, 1)], dim=1)
         directions = (self.rotations[image] @ ahead[..., None])[..., 0]
         directions = directions / directions.norm(dim=1, keepdim=True)
         rays = Rays(self.origins[image], directions, self.times[image], image)
-        return rays, self.rgb.view(-1, 3)[flat].float() / 255, self.sky.view(-1)[flat]
+        rgb, sky = self.rgb.view(-1, 3)[pixel].float() / 255, self.sky.view(-1)[pixel]
+        cell = (image * down + row // ERROR_CELL) * across + column // ERROR_CELL
+        return PixelBatch(rays, rgb, sky, cell)
+
+    def learn_errors(
+        self,
+        cell: Tensor,  # [R] int64
+        errors: Tensor,  # [R]
+    ) -> None:
+        """Remember how wrong a batch's colours were: each cell the mean of now and before."""
+        self.errors.view(-1).scatter_reduce_(0, cell, errors, "mean", include_self=True)
 
     def measured(self, count: int, generator: torch.Generator) -> tuple[Rays, Tensor]:
         """Rays to random LiDAR points, and (R,) metres to them."""

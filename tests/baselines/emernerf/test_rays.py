@@ -1,5 +1,7 @@
 """Rays, sky and motion of scenes whose truth is known."""
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,7 +9,7 @@ import torch
 
 from baselines.emernerf.losses import line_of_sight
 from baselines.emernerf.model import Rendered
-from baselines.emernerf.rays import TrainingRays, find_motion, find_place, pixel_rays
+from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
 from baselines.emernerf.sampling import to_distance
 from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
@@ -68,7 +70,7 @@ def test_pixels_rays_go_through_their_pixels(views, place):
 
 
 def test_training_rays_have_the_colours_of_their_pixels(views, rays, place):
-    batch, rgb, _ = rays.pixels(200, torch.Generator().manual_seed(0))
+    batch, rgb, _, _ = rays.pixels(200, torch.Generator().manual_seed(0))
     names = [(name, frame) for frame in views.frames for name in views.cameras]
     for i in range(0, 200, 9):
         name, frame = names[batch.images[i]]
@@ -78,6 +80,29 @@ def test_training_rays_have_the_colours_of_their_pixels(views, rays, place):
         column, row = uv[0].astype(int)
         np.testing.assert_allclose(rgb[i], views.image(name, frame)[row, column], atol=1e-6)
         assert batch.times[i] == frame
+
+
+def test_half_of_the_pixels_are_where_errors_were_largest(rays):
+    generator = torch.Generator().manual_seed(0)
+    wrong = dataclasses.replace(rays, errors=torch.zeros_like(rays.errors))
+    cell = torch.tensor([3 * rays.errors[0].numel() + 4])  # the 4th image, first row, 5th column
+    wrong.learn_errors(cell, torch.tensor([0.5]))
+    assert wrong.errors[3, 0, 4] == 0.25  # the mean of now and before
+    batch = wrong.pixels(4000, generator)
+    assert (batch.rays.images == 3).float().mean() == pytest.approx(0.5 + 0.5 / 6, abs=0.03)
+    there = batch.cell == cell
+    assert there.float().mean() == pytest.approx(0.5 + 0.5 / wrong.errors.numel(), abs=0.01)
+    camera = views_uv(batch.rays, wrong, there)
+    assert (camera >= torch.tensor([4 * ERROR_CELL, 0])).all()
+    assert (camera <= torch.tensor([5 * ERROR_CELL, ERROR_CELL])).all()
+    assert len(camera.round(decimals=3).unique(dim=0)) == ERROR_CELL**2
+
+
+def views_uv(batch, rays, chosen):
+    """Pixels that rays of the 4th image go through."""
+    ahead = batch.directions[chosen] @ rays.rotations[3]
+    focal, middle = rays.intrinsics[3].split(2)
+    return ahead[:, :2] / ahead[:, 2:] * focal + middle
 
 
 def test_measured_rays_end_at_lidar_points_that_their_camera_sees(views, clouds, rays, place):

@@ -15,6 +15,7 @@ from baselines.emernerf.sampling import (
     propose,
     resample,
     to_distance,
+    to_place,
     weigh,
 )
 
@@ -28,6 +29,16 @@ def test_places_run_from_near_to_far_and_meet_in_the_middle():
     torch.testing.assert_close(steps[:400], steps[:1].expand(400))
     disparity = (1 / distances[600:]).diff()
     torch.testing.assert_close(disparity, disparity[:1].expand(len(disparity)))
+
+
+@given(st.floats(0.11, 990))
+def test_places_and_distances_are_inverse(distance):
+    distance = torch.tensor([distance], dtype=torch.float64)
+    torch.testing.assert_close(to_distance(to_place(distance)), distance)
+
+
+def test_what_is_too_near_or_too_far_is_at_the_ends():
+    assert to_place(torch.tensor([-1.0, 0.0, 5000.0])).tolist() == [0, 0, 1]
 
 
 def test_each_sample_stops_its_share_of_what_reaches_it():
