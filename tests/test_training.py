@@ -10,8 +10,8 @@ import torch
 from torch import nn
 
 from geoevs.adapter import Rng
-from geoevs.cli.progress import training_bar
 from geoevs.errors import GeoEvsError
+from geoevs.progress import training_bar
 from geoevs.training import (
     Optimisation,
     fingerprint,

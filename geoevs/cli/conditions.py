@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import parse_json, scene_pairs
-from geoevs.cli.progress import progress_bar
+from geoevs.progress import progress_bar
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import parse_json
-from geoevs.cli.progress import training_bar
 from geoevs.errors import GeoEvsError
+from geoevs.progress import training_bar
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Work = Annotated[

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.progress import progress_bar, training_bar
 from geoevs.errors import GeoEvsError
+from geoevs.progress import progress_bar, training_bar
 
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 

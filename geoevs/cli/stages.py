@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import parse_json
-from geoevs.cli.progress import counted, progress_bar
+from geoevs.progress import counted, progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
 SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]

@@ -1,0 +1,1 @@
+"""EmerNeRF: static, dynamic and flow hash fields that tell the moving from the still unaided."""

@@ -1,0 +1,196 @@
+"""Rays, sky and motion of scenes whose truth is known."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from baselines.emernerf.losses import line_of_sight
+from baselines.emernerf.model import Rendered
+from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
+from baselines.emernerf.sampling import to_distance
+from baselines.emernerf.sky import find_sky
+from geoevs.adapter import Views
+from geoevs.projection import project_points
+from geoevs.scenes.scene import TRACK_COLUMNS
+from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, tiny_camera, write_tiny_scene
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory):
+    scene = write_tiny_scene(tmp_path_factory.mktemp("scenes") / "tiny")
+    return Views(scene, scene.cameras, ("lidar", "tracks"))
+
+
+@pytest.fixture(scope="module")
+def clouds(views):
+    return {frame: views.lidar(frame).xyz for frame in views.frames}
+
+
+@pytest.fixture(scope="module")
+def place(views, clouds):
+    return find_place(views, np.concatenate(list(clouds.values())))
+
+
+@pytest.fixture(scope="module")
+def rays(views, clouds, place):
+    return TrainingRays.make(views, clouds, place)
+
+
+def test_the_box_holds_the_room_and_reaches_up_20_metres(place):
+    low, high = place.centre - place.half, place.centre + place.half
+    np.testing.assert_allclose(low, ROOM[0], atol=0.5)
+    np.testing.assert_allclose(high[:2], ROOM[1, :2], atol=0.5)
+    assert high[2] == pytest.approx(low[2] + 20)
+
+
+def test_without_lidar_the_box_lies_around_the_cameras(views):
+    place = find_place(views, np.zeros((0, 3)))
+    np.testing.assert_allclose(place.centre, np.add(MOUNT, [0.25, 0, 0]))
+    np.testing.assert_allclose(place.half, [40.25, 40, 10])
+
+
+def test_times_run_from_0_to_1_and_stop_there(place):
+    assert [place.time(frame) for frame in (-1, 0, 1, 5)] == [0, 0, 1, 1]
+    long = place._replace(first=3, last=11)
+    assert long.time(5) == 0.25
+    assert long.step == 0.125
+
+
+def test_pixels_rays_go_through_their_pixels(views, place):
+    camera = views.camera("left", 1)
+    uv = np.array([[0.5, 0.5], [10.5, 40.5], [WIDTH - 0.5, 3.5]])
+    origins, directions = pixel_rays(camera, uv, place)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-6)
+    again, depth = project_points(origins + 7.0 * directions + place.centre, camera)
+    np.testing.assert_allclose(again, uv, atol=1e-4)
+    assert (depth > 0).all()
+
+
+def test_training_rays_have_the_colours_of_their_pixels(views, rays, place):
+    batch, rgb, _, _ = rays.pixels(200, torch.Generator().manual_seed(0))
+    names = [(name, frame) for frame in views.frames for name in views.cameras]
+    for i in range(0, 200, 9):
+        name, frame = names[batch.images[i]]
+        point = (batch.origins[i] + 5 * batch.directions[i]).double().numpy() + place.centre
+        uv, _ = project_points(point[None], views.camera(name, frame))
+        np.testing.assert_allclose(uv % 1, 0.5, atol=1e-3)  # a pixel's centre
+        column, row = uv[0].astype(int)
+        np.testing.assert_allclose(rgb[i], views.image(name, frame)[row, column], atol=1e-6)
+        assert batch.times[i] == frame
+
+
+def test_half_of_the_pixels_are_where_errors_were_largest(rays):
+    generator = torch.Generator().manual_seed(0)
+    wrong = dataclasses.replace(rays, errors=torch.zeros_like(rays.errors))
+    cell = torch.tensor([3 * rays.errors[0].numel() + 4])  # the 4th image, first row, 5th column
+    wrong.learn_errors(cell, torch.tensor([0.5]))
+    assert wrong.errors[3, 0, 4] == 0.25  # the mean of now and before
+    batch = wrong.pixels(4000, generator)
+    assert (batch.rays.images == 3).float().mean() == pytest.approx(0.5 + 0.5 / 6, abs=0.03)
+    there = batch.cell == cell
+    assert there.float().mean() == pytest.approx(0.5 + 0.5 / wrong.errors.numel(), abs=0.01)
+    camera = views_uv(batch.rays, wrong, there)
+    assert (camera >= torch.tensor([4 * ERROR_CELL, 0])).all()
+    assert (camera <= torch.tensor([5 * ERROR_CELL, ERROR_CELL])).all()
+    assert len(camera.round(decimals=3).unique(dim=0)) == ERROR_CELL**2
+
+
+def views_uv(batch, rays, chosen):
+    """Pixels that rays of the 4th image go through."""
+    ahead = batch.directions[chosen] @ rays.rotations[3]
+    focal, middle = rays.intrinsics[3].split(2)
+    return ahead[:, :2] / ahead[:, 2:] * focal + middle
+
+
+def test_measured_rays_end_at_lidar_points_that_their_camera_sees(views, clouds, rays, place):
+    batch, ranges = rays.measured(100, torch.Generator().manual_seed(0))
+    ends = (batch.origins + ranges[:, None] * batch.directions).numpy() + place.centre
+    names = [(name, frame) for frame in views.frames for name in views.cameras]
+    for i in range(100):
+        name, frame = names[batch.images[i]]
+        assert np.linalg.norm(clouds[frame] - ends[i], axis=1).min() < 1e-4
+        uv, _ = project_points(ends[i][None], views.camera(name, frame))
+        assert (uv >= 0).all()
+        assert (uv <= [WIDTH, HEIGHT]).all()
+
+
+STATIC = "static scene: no dynamic field"
+
+
+def boxes(*rows):
+    return pd.DataFrame(rows, columns=list(TRACK_COLUMNS))
+
+
+@pytest.mark.parametrize(
+    ("tracks", "reason"),
+    [
+        (boxes(), "no tracks: a dynamic field in case something moves"),
+        (boxes((0, "a", "car", 5, 0, 1, 4, 2, 2, 0.0, False)), STATIC),
+        (boxes((0, "a", "car", 5, 0, 1, 4, 2, 2, 0.0, True)), ""),
+        # 2 m ahead of the point at x = 5, it holds it only when it stands across.
+        (boxes((0, "a", "car", 7, 0, 1, 2, 6, 2, 0.0, True)), STATIC),
+        (boxes((0, "a", "car", 7, 0, 1, 2, 6, 2, 90.0, True)), ""),
+        (boxes((0, "a", "car", 5, 0, 9, 4, 2, 2, 0.0, True)), STATIC),
+    ],
+    ids=["no tracks", "parked", "moving", "unseen", "turned", "above"],
+)
+def test_a_dynamic_field_is_for_moving_boxes_with_points(tracks, reason):
+    class TwoFrames:
+        frames = (0, 1)
+
+    views = TwoFrames()
+    views.tracks = tracks.astype({"moving": bool})
+    clouds = {0: np.array([[5.0, 0, 1]]), 1: np.zeros((0, 3))}
+    assert find_motion(views, clouds) == (reason != STATIC, reason)
+
+
+def test_nothing_moves_in_one_frame():
+    class OneFrame:
+        frames = (7,)
+
+    assert find_motion(OneFrame(), {}) == (False, "one frame: no dynamic field")
+
+
+def test_sky_is_bright_smooth_and_without_points():
+    camera = tiny_camera("front", 0.0, np.zeros(3))
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, 0.5, (HEIGHT, WIDTH, 3))  # rough
+    image[:20] = 0.8
+    image[:20, :30] = 0.2  # smooth but dark
+    wall = np.array([[12.0, -6.0, 0.5]])  # on the right, above the camera and near
+    ground = np.array([[12.0, -2.0, -0.5]])
+    sky = find_sky(image, ground, camera)
+    assert sky[1:19, 32:].all()
+    assert not sky[21:].any()
+    assert not sky[:, :29].any()
+    image[:20, 60:] = rng.uniform(0.7, 0.9, (20, 12, 3))
+    image[:20, 50:60] = [0.8, 0.8, 0.7]  # parted from the rest by its colour, and on the wall
+    u = project_points(wall, camera)[0][0, 0]
+    walls = np.array([[12.0, y, 0.5] for y in np.linspace(-2.3, -4.2, 12)])
+    assert u > 60
+    sky = find_sky(image, walls, camera)
+    assert sky[1:19, 32:48].all()
+    assert not sky[:, 51:].any()
+
+
+def test_light_that_ends_as_a_normal_distribution_has_no_sight_loss():
+    places = torch.linspace(0.05, 0.5, 200)[None]
+    distances = to_distance(places)
+    normal = torch.distributions.Normal(30.0, 2.0 / 3)
+    weights = normal.cdf(distances).diff(dim=1)
+
+    def loss(weights):
+        rendered = Rendered(None, None, None, weights, places, [], None)
+        return line_of_sight(rendered, torch.tensor([30.0]), 2.0).item()
+
+    assert loss(weights) < 1e-5
+    before = weights.clone()
+    middles = (distances[0, 1:] + distances[0, :-1]) / 2
+    before[0, int((middles - 20).abs().argmin())] += 0.5  # 10 m before the point
+    assert loss(before) == pytest.approx(0.25, rel=1e-4)
+    behind = weights.clone()
+    behind[0, int((middles - 40).abs().argmin())] += 0.5  # nobody knows what is behind it
+    assert loss(behind) < 1e-5
