@@ -158,7 +158,7 @@ MISTAKES = {
     "unknown method": (
         "  reference:",
         "  refrence:",
-        "19: there is no method 'refrence'; did you mean 'reference'? (one of: external, ",
+        "19: there is no method 'refrence'; did you mean 'reference'? (one of: emernerf, ",
     ),
     "unknown method option": (
         "{inpaint: fsr-best}",
