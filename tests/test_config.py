@@ -56,8 +56,8 @@ conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
 training:
   {prior: nano, prediction: null, schedule: null, steps: 4, batch: 2, learning_rate: 0.001,
-   drop: 0.1, encoder: trained, validity: true, weighting: uniform, masks: reprojected,
-   probability: 0.4, timesteps: uniform, sampling: {steps: 5},
+   drop: 0.1, encoder: trained, validity: true, filled: true, weighting: uniform,
+   masks: reprojected, probability: 0.4, timesteps: uniform, sampling: {steps: 5},
    variants: {v1: {probability: 0}, v3: {}}}
 """
 
