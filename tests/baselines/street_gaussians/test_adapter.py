@@ -69,9 +69,8 @@ def test_what_stands_still_is_no_actor(write_room, boxes):
 def test_the_road_is_left_and_the_car_taken_from_the_background(moving):
     method, _ = fit(moving, steps=1)
     xyz = method._graph.background.gaussians.means.detach().numpy()
-    low, high = room.CAR
-    low = low + [0, 0, 0.15]
-    assert not ((xyz > low + 0.05) & (xyz < high - 0.05)).all(axis=1).any()
+    low, high = room.CAR + np.array([[0.05, 0.05, 0.15], [-0.05, -0.05, -0.05]])
+    assert not ((xyz > low) & (xyz < high)).all(axis=1).any()
 
 
 @pytest.mark.parametrize("size", [(0.0, 2.0, 1.4), (np.nan, 2.0, 1.4)])
