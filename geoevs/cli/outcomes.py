@@ -18,7 +18,7 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
-        *(collect, table, ablation_table, cost_table, geometry_table),
+        *(collect, table, ablation_table, cost_table, geometry_table, complexity_table),
         *(grid, chart, manifest, install_weights, failures),
     ):
         app.command()(command)
@@ -100,6 +100,20 @@ def geometry_table(
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), geometry_markdown(made))
     write_text(out.with_suffix(".tex"), geometry_latex(made))
+
+
+def complexity_table(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.complexity import complexity_markdown, make_complexity_table
+
+    made = make_complexity_table(_rows(scores), _rows(costs))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), complexity_markdown(made))
 
 
 def grid(

@@ -22,6 +22,7 @@ UNSTABLE = {
     "costs.md",
     "render.json",
     *(f"geometry.{s}" for s in ("csv", "md", "tex")),
+    *(f"complexity.{s}" for s in ("csv", "md")),
 }
 
 
@@ -46,6 +47,8 @@ def test_the_whole_dag_runs(smoke_run):
     ablation = pd.read_csv(results / "tables/ablation.csv").set_index("variant")
     assert list(ablation.index) == ["v1", "default"]
     assert np.isfinite(ablation.loc["v1", "masked_observed_psnr_removed_diff"])
+    sizes = pd.read_csv(results / "tables/complexity.csv")
+    assert sizes["note"].tolist() == ["no fixed size was run"]
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
