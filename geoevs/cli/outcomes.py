@@ -42,6 +42,7 @@ def table(
     scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
     settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+    sets: Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")] = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
     from geoevs.io import write_text
@@ -49,7 +50,8 @@ def table(
     from geoevs.results.tables import make_table, table_spec
 
     spec = table_spec(name)
-    made = make_table(name, _rows(scores), parse_json("--settings", settings))
+    distances = None if sets is None else _rows(sets)
+    made = make_table(name, _rows(scores), parse_json("--settings", settings), distances)
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(spec, made))
     write_text(out.with_suffix(".tex"), to_latex(spec, made))

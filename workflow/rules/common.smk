@@ -77,6 +77,15 @@ def every_scene(pattern, scenes=TEST_SCENES):
     ]
 
 
+def of_dataset(pattern, dataset):
+    """The pattern's paths for a data set's test scenes; other wildcards are kept."""
+    return [
+        in_run(pattern).replace("{dataset}", dataset).replace("{scene}", scene)
+        for owner, scene in TEST_SCENES
+        if owner == dataset
+    ]
+
+
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
     return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
