@@ -125,6 +125,7 @@ def grid(
 
 
 def chart(
+    name: Annotated[str, typer.Argument(help="The table whose views to chart.")],
     scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
     costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
     settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
@@ -132,18 +133,15 @@ def chart(
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.io import write_bytes, write_text
-    from geoevs.results.charts import (
-        chart_html,
-        chart_png,
-        speed_accuracy,
-        speed_accuracy_chart,
-    )
+    from geoevs.results.chart_pages import draw_page, page_html, page_png
+    from geoevs.results.charts import speed_accuracy
 
-    table = speed_accuracy(_rows(scores), _rows(costs), parse_json("--settings", settings))
-    drawn = speed_accuracy_chart(table)
+    parsed = parse_json("--settings", settings)
+    table = speed_accuracy(name, _rows(scores), _rows(costs), parsed)
+    page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
-    write_bytes(out.with_suffix(".png"), chart_png(drawn))
-    write_text(out.with_suffix(".html"), chart_html(drawn))
+    write_bytes(out.with_suffix(".png"), page_png(page))
+    write_text(out.with_suffix(".html"), page_html(page))
 
 
 def manifest(

@@ -19,6 +19,9 @@ from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.scoring import THINNING
 from geoevs.results.summary import summarise
 
+ENTRANT = ["dataset", "method", "variant"]
+"""Columns that tell who was scored on what."""
+
 FLOOR = "mean-colour"
 """The control that every method should beat; those that do not are flagged."""
 
@@ -69,7 +72,7 @@ TABLES = {
     "pose_offset": TableSpec(
         "By angle to the front camera, in degrees (paper table 2, bottom left)",
         ("pose-sweep",),
-        ("sparse_psnr", "sparse_ssim", "psnr"),
+        ("sparse_psnr", "sparse_ssim", "psnr", "gms"),
         bins="pose_offset",
         edges="pose_bins",
     ),
@@ -116,13 +119,13 @@ def make_table(
     """
     spec = table_spec(name)
     check_fingerprints(scores)
-    rows = _table_rows(spec, scores, settings)
-    by = ["dataset", "method", "variant", "bin", "metric"]
+    rows = table_rows(spec, scores, settings)
+    by = [*ENTRANT, "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
     distances = _set_means(spec, sets)
     unmeasured = "; ".join(f"{metric}: {why}" for metric, why in _unavailable(rows, spec, sets))
-    bins = _bins(spec, settings)
-    ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
+    bins = bin_names(spec, settings)
+    ran = set(scores[ENTRANT].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             _table_row(name, spec, summary, dataset, method, variant, label)
@@ -143,7 +146,7 @@ def _set_means(spec: TableSpec, sets: pd.DataFrame | None) -> dict[tuple, dict[s
         return {}
     rows = sets[sets["split"].isin(spec.splits) & sets["metric"].isin(spec.set_metrics)]
     found: dict[tuple, dict[str, float]] = {}
-    by = ["dataset", "method", "variant", "metric"]
+    by = [*ENTRANT, "metric"]
     for (*entrant, metric), group in rows.groupby(by, sort=False):
         mean = group[["value", "low", "high", "floor"]].mean()
         columns = dict(zip(("", "_low", "_high", "_floor"), mean, strict=True))
@@ -185,7 +188,8 @@ def bin_labels(edges: Sequence[float]) -> list[str]:
     return [f"{low:g}-{high:g}" for low, high in itertools.pairwise(edges)]
 
 
-def _bins(spec: TableSpec, settings: dict[str, Any]) -> Sequence[str]:
+def bin_names(spec: TableSpec, settings: dict[str, Any]) -> Sequence[str]:
+    """The bins of a table in order; one without a name where it has none."""
     if not spec.bins:
         return [""]
     return bin_labels(settings[spec.edges]) if spec.edges else spec.splits
@@ -209,7 +213,8 @@ def _paper() -> dict[str, Any]:
     )
 
 
-def _table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """The score rows that a table averages, with the column `bin`."""
     rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
     wanted = (rows["stressor"] == "") | (
         (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
