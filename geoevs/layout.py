@@ -32,3 +32,12 @@ COST_TABLE = "tables/costs"
 GEOMETRY_TABLE = "tables/geometry"
 PRETRAINED = "pretrain/{weights}.safetensors"
 CHART = "charts/{table}"
+REPORT = "report.html"
+
+RESULT_FOLDERS = {"tables", "figures", "charts"}
+DATA_FOLDERS = {
+    pattern.split("/")[0]
+    for name, pattern in list(vars().items())
+    if name.isupper() and "/" in pattern
+} - RESULT_FOLDERS | {"logs", "benchmarks"}
+"""Folders of a run that hold what its results are made of; all others hold results."""

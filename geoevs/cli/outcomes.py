@@ -19,7 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         *(collect, table, ablation_table, cost_table, geometry_table),
-        *(grid, chart, manifest, install_weights, failures),
+        *(grid, chart, report, manifest, install_weights, failures),
     ):
         app.command()(command)
 
@@ -142,6 +142,14 @@ def chart(
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
     write_bytes(out.with_suffix(".png"), page_png(page))
     write_text(out.with_suffix(".html"), page_html(page))
+
+
+def report(run: Run, out: Out) -> None:
+    """Put a run's tables, charts, pictures and failures on one page that needs no network."""
+    from geoevs.io import write_text
+    from geoevs.results.report.page import make_page
+
+    write_text(out, make_page(run))
 
 
 def manifest(
