@@ -19,7 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         *(collect, table, ablation_table, cost_table, geometry_table),
-        *(grid, chart, report, manifest, install_weights, failures),
+        *(grid, chart, report, manifest, install_weights, failures, why),
     ):
         app.command()(command)
 
@@ -156,12 +156,15 @@ def manifest(
     inputs: Annotated[list[Path], typer.Argument(help="Scene stores, weights, score files.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     out: Out,
+    configfiles: Annotated[
+        list[str] | None, typer.Option(help="The files that the config came from; repeat for more.")
+    ] = None,
 ) -> None:
     """Write down the commit, config, input hashes, versions, machine and seed of a run."""
     from geoevs.io import write_json
     from geoevs.results.manifest import make_manifest
 
-    write_json(out, make_manifest(parse_json("--config", config), inputs))
+    write_json(out, make_manifest(parse_json("--config", config), inputs, configfiles or []))
 
 
 def install_weights(
@@ -197,6 +200,22 @@ def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet
             f"{row.sources}: {row.reason}; log: {row.log}",
             file=sys.stderr,
         )
+
+
+def why(
+    table: Annotated[str, typer.Argument(help="The table, such as extrapolation.")],
+    entrant: Annotated[str, typer.Argument(help="METHOD or METHOD.VARIANT, as in the config.")],
+    metric: Annotated[str, typer.Argument(help="The column, such as sparse_psnr.")],
+    run: Annotated[str, typer.Option(help="The run's name, or its folder.")] = "default",
+    bin: Annotated[str, typer.Option(help="The row's bin, such as 5-10.")] = "",
+    dataset: Annotated[str, typer.Option(help="The data set; left out, the first.")] = "",
+) -> None:
+    """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
+    from geoevs.results.why import Cell, explain
+
+    folder = Path(run) if "/" in run else Path("results") / run
+    for line in explain(Cell(table, entrant, metric, bin, dataset), folder):
+        print(line)
 
 
 def _rows(path: Path) -> "pd.DataFrame":

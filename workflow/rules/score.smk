@@ -101,6 +101,8 @@ rule manifest:
     params:
         weights=starting_weights,
         config=json.dumps(config),
+        configfiles=with_option("--configfiles", config_files()),
+        code=code_hash("geoevs.results.manifest"),
     shell:
         "geoevs --log {log:q} manifest {input:q} {params.weights:q}"
-        " --config {params.config:q} --out {output:q}"
+        " --config {params.config:q} {params.configfiles} --out {output:q}"

@@ -9,7 +9,9 @@ const seen = new IntersectionObserver((entries) => {
     if (!isIntersecting) continue;
     seen.unobserve(target);
     const actions = { export: true, source: false, compiled: false, editor: false };
-    vegaEmbed(target, charts[target.dataset.chart], { actions, renderer: "svg" }).catch(console.error);
+    // Within, as vega-embed gives what it fills a width of its own.
+    const within = target.appendChild(document.createElement("div"));
+    vegaEmbed(within, charts[target.dataset.chart], { actions, renderer: "svg" }).catch(console.error);
   }
 }, { rootMargin: "200px" });
 document.querySelectorAll(".chart").forEach((element) => seen.observe(element));

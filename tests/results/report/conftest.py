@@ -56,10 +56,11 @@ def reported(run, tmp_path_factory):
     scores, spent, sets = score_frame(rows), cost_frame(costs), set_frame([])
     for path, frame in ((layout.SCORES, scores), (layout.COSTS, spent), (layout.SET_SCORES, sets)):
         write_bytes(run / path, frame.to_parquet(index=False))
-    config = {"tables": SETTINGS}
+    config = {"tables": SETTINGS, "methods": {"grey": {}}}
     machine = {"processor": "a processor", "cores": 2}
     versions = {"python": "3.11"}
     manifest = {"commit": "abc", "seed": 0, "config": config, "versions": versions}
+    manifest |= {"configfiles": ["config.yaml", "other.yaml"]}
     write_json(run / layout.MANIFEST, manifest | {"machine": machine})
     table = make_table("extrapolation", scores, SETTINGS)
     write_text(run / "tables/extrapolation.csv", table.to_csv(index=False))

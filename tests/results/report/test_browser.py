@@ -1,7 +1,6 @@
 """The page in a real browser, without a network: it loads, slides, sorts and answers."""
 
 import shutil
-import time
 
 import pytest
 
@@ -50,12 +49,17 @@ def canvas(browser, name):
     return browser.execute_script(f"return document.getElementById('{name}').toDataURL()")
 
 
+def scroll(browser, element):
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+
+
 def choose(browser, name, value):
     Select(browser.find_element(By.NAME, name)).select_by_value(value)
 
 
 def test_it_loads_without_network_or_error(page):
     page.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true })")
+    scroll(page, page.find_element(By.CSS_SELECTOR, ".chart"))
     wait(page, lambda: page.find_elements(By.CSS_SELECTOR, ".chart svg"))
     requests = [
         line["message"]
@@ -74,9 +78,11 @@ def test_the_slider_moves_by_keyboard_and_pointer(page):
         return page.execute_script("return arguments[0].value", slider)
 
     assert exposure() == pytest.approx(50)
-    slider.send_keys(Keys.ARROW_RIGHT * 5)
+    scroll(page, slider)
+    page.execute_script("arguments[0].focus()", slider)
+    held = webdriver.ActionChains(page).key_down(Keys.ARROW_RIGHT).pause(0.5)
+    held.key_up(Keys.ARROW_RIGHT).perform()
     wait(page, lambda: exposure() > 50)
-    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
     moved = webdriver.ActionChains(page).move_to_element_with_offset(slider, -200, 0)
     moved.click().perform()
     wait(page, lambda: exposure() < 45)
@@ -100,12 +106,10 @@ def test_a_table_sorts_by_a_click_and_by_enter(page):
 
 
 def test_a_chart_shows_its_tooltip(page):
-    wait(page, lambda: page.find_elements(By.CSS_SELECTOR, ".chart svg path[aria-label*='name']"))
-    point = page.find_element(
-        By.CSS_SELECTOR, ".chart svg .mark-symbol path[aria-label*='entrant: Geo-EVS']"
-    )
-    page.execute_script("arguments[0].scrollIntoView({block: 'center'})", point)
-    time.sleep(0.2)  # scrolling settles
+    scroll(page, page.find_element(By.CSS_SELECTOR, ".chart"))
+    mark = ".chart svg path[aria-label*='entrant: Geo-EVS']"
+    point = wait(page, lambda: page.find_elements(By.CSS_SELECTOR, mark))[0]
+    scroll(page, point)
     webdriver.ActionChains(page).move_to_element(point).perform()
     shown = wait(page, lambda: page.find_element(By.ID, "vg-tooltip-element").text)
     assert "Geo-EVS" in shown
@@ -148,6 +152,8 @@ def test_flicker_shows_one_side_then_the_other(page):
 def test_it_fits_a_phone(page):
     page.set_window_size(400, 800)
     try:
+        scroll(page, page.find_element(By.CSS_SELECTOR, ".chart"))
+        wait(page, lambda: page.find_elements(By.CSS_SELECTOR, ".chart svg"))
         wide = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert page.execute_script(wide) <= 0
     finally:
