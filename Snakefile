@@ -24,6 +24,7 @@ include: "workflow/rules/baselines.smk"
 include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
 include: "workflow/rules/charts.smk"
+include: "workflow/rules/report.smk"
 include: "workflow/rules/pretrain.smk"
 
 
@@ -33,6 +34,7 @@ rule all:
         rules.tables.input,
         rules.breakdowns.input,
         rules.charts.input,
+        rules.report.output,
 
 
 onsuccess:

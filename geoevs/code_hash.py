@@ -9,13 +9,14 @@ import geoevs
 
 ROOT = Path(geoevs.__file__).parents[1]
 PACKAGES = ("geoevs", "baselines")
+DATA = (".yaml", ".jinja", ".css", ".js")
 
 
 def code_hash(*modules: str) -> str:
     """Hash the code of `modules` and of the project's modules that they import, however deep.
 
-    The YAML files beside a module count with it. Comments and formatting do not count; modules
-    found by name at run time (plugins) must be named.
+    The data files beside a module (see DATA) count with it. Comments and formatting do not count;
+    modules found by name at run time (plugins) must be named.
     """
     reached: set[str] = set()
     waiting = list(modules)
@@ -28,7 +29,9 @@ def code_hash(*modules: str) -> str:
     for module in sorted(reached):
         digest.update(f"{module}\n{ast.dump(_tree(module))}\n".encode())
     folders = {_path(module).parent for module in reached}
-    for data in sorted(path for folder in folders for path in folder.glob("*.yaml")):
+    for data in sorted(path for folder in folders for path in folder.iterdir()):
+        if data.suffix not in DATA:
+            continue
         digest.update(f"{data.name}\n".encode() + data.read_bytes())
     return digest.hexdigest()[:16]
 

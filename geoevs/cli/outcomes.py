@@ -19,7 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         *(collect, table, ablation_table, cost_table, geometry_table, complexity_table),
-        *(grid, chart, manifest, install_weights, failures),
+        *(grid, chart, report, manifest, install_weights, failures, why),
     ):
         app.command()(command)
 
@@ -42,6 +42,7 @@ def table(
     scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
     settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
+    sets: Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")] = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
     from geoevs.io import write_text
@@ -49,7 +50,8 @@ def table(
     from geoevs.results.tables import make_table, table_spec
 
     spec = table_spec(name)
-    made = make_table(name, _rows(scores), parse_json("--settings", settings))
+    distances = None if sets is None else _rows(sets)
+    made = make_table(name, _rows(scores), parse_json("--settings", settings), distances)
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(spec, made))
     write_text(out.with_suffix(".tex"), to_latex(spec, made))
@@ -137,6 +139,7 @@ def grid(
 
 
 def chart(
+    name: Annotated[str, typer.Argument(help="The table whose views to chart.")],
     scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
     costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
     settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
@@ -144,30 +147,38 @@ def chart(
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.io import write_bytes, write_text
-    from geoevs.results.charts import (
-        chart_html,
-        chart_png,
-        speed_accuracy,
-        speed_accuracy_chart,
-    )
+    from geoevs.results.chart_pages import draw_page, page_html, page_png
+    from geoevs.results.charts import speed_accuracy
 
-    table = speed_accuracy(_rows(scores), _rows(costs), parse_json("--settings", settings))
-    drawn = speed_accuracy_chart(table)
+    parsed = parse_json("--settings", settings)
+    table = speed_accuracy(name, _rows(scores), _rows(costs), parsed)
+    page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
-    write_bytes(out.with_suffix(".png"), chart_png(drawn))
-    write_text(out.with_suffix(".html"), chart_html(drawn))
+    write_bytes(out.with_suffix(".png"), page_png(page))
+    write_text(out.with_suffix(".html"), page_html(page))
+
+
+def report(run: Run, out: Out) -> None:
+    """Put a run's tables, charts, pictures and failures on one page that needs no network."""
+    from geoevs.io import write_text
+    from geoevs.results.report.page import make_page
+
+    write_text(out, make_page(run))
 
 
 def manifest(
     inputs: Annotated[list[Path], typer.Argument(help="Scene stores, weights, score files.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     out: Out,
+    configfiles: Annotated[
+        list[str] | None, typer.Option(help="The files that the config came from; repeat for more.")
+    ] = None,
 ) -> None:
     """Write down the commit, config, input hashes, versions, machine and seed of a run."""
     from geoevs.io import write_json
     from geoevs.results.manifest import make_manifest
 
-    write_json(out, make_manifest(parse_json("--config", config), inputs))
+    write_json(out, make_manifest(parse_json("--config", config), inputs, configfiles or []))
 
 
 def install_weights(
@@ -203,6 +214,22 @@ def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet
             f"{row.sources}: {row.reason}; log: {row.log}",
             file=sys.stderr,
         )
+
+
+def why(
+    table: Annotated[str, typer.Argument(help="The table, such as extrapolation.")],
+    entrant: Annotated[str, typer.Argument(help="METHOD or METHOD.VARIANT, as in the config.")],
+    metric: Annotated[str, typer.Argument(help="The column, such as sparse_psnr.")],
+    run: Annotated[str, typer.Option(help="The run's name, or its folder.")] = "default",
+    bin: Annotated[str, typer.Option(help="The row's bin, such as 5-10.")] = "",
+    dataset: Annotated[str, typer.Option(help="The data set; left out, the first.")] = "",
+) -> None:
+    """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
+    from geoevs.results.why import Cell, explain
+
+    folder = Path(run) if "/" in run else Path("results") / run
+    for line in explain(Cell(table, entrant, metric, bin, dataset), folder):
+        print(line)
 
 
 def _rows(path: Path) -> "pd.DataFrame":

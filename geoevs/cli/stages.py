@@ -22,7 +22,7 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (scene, targets, truth, references, fit, render, score, export):
+    for command in (*(scene, targets, truth, references, fit, render, score, score_sets, export),):
         app.command()(command)
 
 
@@ -184,6 +184,26 @@ def score(
     rows = score_method(entry, evidence, renders, settings["reference_keep"], common)
     write_bytes(out, score_frame(rows).to_parquet(index=False))
     write_bytes(costs, cost_frame(cost_rows(entry, renders, place)).to_parquet(index=False))
+
+
+def score_sets(
+    method: Annotated[str, typer.Option(help="The method's name.")],
+    run: Annotated[Path, typer.Option(help="The run's folder, results/<run>.")],
+    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
+    scenes: Annotated[list[str], typer.Option(help="A test scene of it; repeat for more.")],
+    confidence: Annotated[float, typer.Option(min=0, max=1, help="Of the intervals.")],
+    out: Out,
+    variant: str = "default",
+    seed: Seed = 0,
+) -> None:
+    """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
+    from geoevs.io import write_bytes
+    from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.set_scoring import score_sets as score
+    from geoevs.protocol.set_scoring import set_frame
+
+    rows = score(MethodEntry(method, variant, {}, seed), run, dataset, scenes, confidence)
+    write_bytes(out, set_frame(rows).to_parquet(index=False))
 
 
 def export(

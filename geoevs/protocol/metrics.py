@@ -8,10 +8,13 @@ metric. No valid pixel at all gives NaN.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar
+from functools import cache
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
+
+from geoevs.protocol.weights import missing_weights
 
 
 @dataclass
@@ -45,6 +48,20 @@ class MaskedMean(ABC):
         """From the mean to the metric's own unit."""
         return mean
 
+    @classmethod
+    def missing(cls) -> str:
+        """Why this machine cannot compute it, in one sentence; empty where it can."""
+        return ""
+
+
+def _precision(*images: np.ndarray) -> np.dtype:
+    """What arithmetic on images runs in: float32, unless one has more; sums are always float64."""
+    return np.result_type(np.float32, *images)
+
+
+def _sum(values: np.ndarray) -> float:
+    return float(values.sum(dtype=np.float64))
+
 
 class MaskedPixelMean(MaskedMean):
     """Mean over valid pixels of an error of each pixel alone; subclasses say which."""
@@ -56,13 +73,14 @@ class MaskedPixelMean(MaskedMean):
         mask: np.ndarray,  # [H, W] bool
     ) -> None:
         """Add one image's valid pixels."""
-        difference = preds[mask].astype(np.float64) - target[mask]
-        self.total += float(self.error(difference).sum())
-        self.count += len(difference)
+        if not mask.all():
+            preds, target = preds[mask], target[mask]
+        self.total += self.error(np.subtract(preds, target, dtype=_precision(preds, target)))
+        self.count += int(mask.sum())
 
     @abstractmethod
-    def error(self, difference: np.ndarray) -> np.ndarray:
-        """(N, C) differences to (N,) errors."""
+    def error(self, difference: np.ndarray) -> float:
+        """(..., C) differences to the sum of the pixels' errors."""
 
 
 class MAE(MaskedPixelMean):
@@ -70,9 +88,9 @@ class MAE(MaskedPixelMean):
 
     higher_is_better = False
 
-    def error(self, difference: np.ndarray) -> np.ndarray:
-        """(N, C) differences to (N,) errors."""
-        return np.abs(difference).mean(axis=1)
+    def error(self, difference: np.ndarray) -> float:
+        """(..., C) differences to the sum of the pixels' errors."""
+        return _sum(np.abs(difference)) / difference.shape[-1]
 
 
 class RMSE(MaskedPixelMean):
@@ -80,9 +98,9 @@ class RMSE(MaskedPixelMean):
 
     higher_is_better = False
 
-    def error(self, difference: np.ndarray) -> np.ndarray:
-        """(N, C) differences to (N,) errors."""
-        return np.square(difference).mean(axis=1)
+    def error(self, difference: np.ndarray) -> float:
+        """(..., C) differences to the sum of the pixels' errors."""
+        return _sum(np.square(difference)) / difference.shape[-1]
 
     def finish(self, mean: float) -> float:
         """The root."""
@@ -98,9 +116,9 @@ class PSNR(MaskedPixelMean):
     20.0
     """
 
-    def error(self, difference: np.ndarray) -> np.ndarray:
-        """(N, C) differences to (N,) errors."""
-        return np.square(difference).mean(axis=1)
+    def error(self, difference: np.ndarray) -> float:
+        """(..., C) differences to the sum of the pixels' errors."""
+        return _sum(np.square(difference)) / difference.shape[-1]
 
     def finish(self, mean: float) -> float:
         """Decibels."""
@@ -110,9 +128,9 @@ class PSNR(MaskedPixelMean):
 class PSNRSum(PSNR):
     """The paper's literal S-PSNR: the squared norm summed over channels (4.77 dB lower)."""
 
-    def error(self, difference: np.ndarray) -> np.ndarray:
-        """(N, C) differences to (N,) errors."""
-        return np.square(difference).sum(axis=1)
+    def error(self, difference: np.ndarray) -> float:
+        """(..., C) differences to the sum of the pixels' errors."""
+        return _sum(np.square(difference))
 
 
 SSIM_SIGMA = 1.5
@@ -134,7 +152,7 @@ _KERNEL = _gaussian()
 
 def _blur(image: np.ndarray, kernel: np.ndarray = _KERNEL) -> np.ndarray:
     """Separable filter of (H, W, C) or (H, W), cropped to windows that lie within the image."""
-    blurred = cv2.sepFilter2D(image, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
     inner = slice(SSIM_RADIUS, -SSIM_RADIUS)
     return blurred[inner, inner]
 
@@ -156,27 +174,57 @@ class SSIM(MaskedMean):
         """Add one image's valid windows."""
         if min(mask.shape) <= 2 * SSIM_RADIUS or not mask.any():
             return
-        weights = mask.astype(np.float64)
-        norm = _blur(weights)
-        effective = norm**2 / np.maximum(_blur(weights, _KERNEL**2), 1e-12)
-        inner = slice(SSIM_RADIUS, -SSIM_RADIUS)
-        centres = mask[inner, inner] & (effective >= SSIM_MIN_EFFECTIVE_PIXELS)
-        norm = np.where(centres, norm, 1.0)[..., None]
-        x = np.where(mask[..., None], preds, 0.0).astype(np.float64)
-        y = np.where(mask[..., None], target, 0.0).astype(np.float64)
-        similarity = self._similarity(x, y, norm)
-        self.total += float(similarity[centres].mean(axis=1).sum())
+        if mask.all():
+            norm, centres = None, mask[SSIM_RADIUS:-SSIM_RADIUS, SSIM_RADIUS:-SSIM_RADIUS]
+        else:
+            norm, centres = _windows(mask)
+            valid = mask[..., None]
+            preds, target = np.where(valid, preds, 0.0), np.where(valid, target, 0.0)
+        precision = _precision(preds, target)
+        similarity = self._similarity(preds.astype(precision), target.astype(precision), norm)
+        self.total += _sum(similarity if norm is None else similarity[centres]) / preds.shape[-1]
         self.count += int(centres.sum())
 
-    def _similarity(self, x: np.ndarray, y: np.ndarray, norm: np.ndarray) -> np.ndarray:
-        """(H - 10, W - 10, C) SSIM map of zero-filled images, given the windows' weight sums."""
-        mean_x, mean_y = _blur(x) / norm, _blur(y) / norm
-        variance_x = _blur(x * x) / norm - mean_x**2
-        variance_y = _blur(y * y) / norm - mean_y**2
-        covariance = _blur(x * y) / norm - mean_x * mean_y
+    def _similarity(self, x: np.ndarray, y: np.ndarray, norm: np.ndarray | None) -> np.ndarray:
+        """(H - 10, W - 10, C) SSIM map of zero-filled images, given the windows' weight sums.
+
+        Without sums all of them are one. It needs the sum of both variances alone, and steps work
+        in place: at 512 x 512, making arrays takes as long as filling them.
+        """
+        mean_x, mean_y, variances, covariance = (_blur(z) for z in (x, y, x * x + y * y, x * y))
+        if norm is not None:
+            for windows in (mean_x, mean_y, variances, covariance):
+                windows /= norm
         c1, c2 = (SSIM_K1 * self.data_range) ** 2, (SSIM_K2 * self.data_range) ** 2
-        luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
-        return luminance * (2 * covariance + c2) / (variance_x + variance_y + c2)
+        product = mean_x * mean_y
+        squares = np.square(mean_x, out=mean_x)
+        squares += np.square(mean_y, out=mean_y)
+        covariance -= product
+        variances -= squares
+        numerator = _scale_shift(product, 2, c1)
+        numerator *= _scale_shift(covariance, 2, c2)
+        squares += c1
+        variances += c2
+        squares *= variances
+        numerator /= squares
+        return numerator
+
+
+def _scale_shift(values: np.ndarray, scale: float, shift: float) -> np.ndarray:
+    """In place."""
+    values *= scale
+    values += shift
+    return values
+
+
+def _windows(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weight sums of the windows (H - 10, W - 10, 1), and which of them count; one where not."""
+    weights = mask.astype(np.float64)
+    norm = _blur(weights)
+    effective = norm**2 / np.maximum(_blur(weights, _KERNEL**2), 1e-12)
+    inner = slice(SSIM_RADIUS, -SSIM_RADIUS)
+    centres = mask[inner, inner] & (effective >= SSIM_MIN_EFFECTIVE_PIXELS)
+    return np.where(centres, norm, 1.0)[..., None], centres
 
 
 class SSIMZeroFill(SSIM):
@@ -194,6 +242,83 @@ class SSIMZeroFill(SSIM):
         valid = mask[..., None]
         zero_filled = (np.where(valid, preds, 0.0), np.where(valid, target, 0.0))
         super().update(*zero_filled, np.ones_like(mask))
+
+
+GMS_STABILITY = 0.0026
+_PREWITT = np.array([[1.0, 0.0, -1.0]] * 3) / 3
+
+
+class GMS(MaskedMean):
+    """Mean gradient magnitude similarity of the luma at half resolution (Xue et al. 2014, GMSM).
+
+    What is left of edges, and what edges were added: a perceptual metric without weights. It runs
+    over pixels of the halved image whose 3 x 3 neighbourhood is valid.
+    """
+
+    def update(
+        self,
+        preds: np.ndarray,  # [H, W, C]
+        target: np.ndarray,  # [H, W, C]
+        mask: np.ndarray,  # [H, W] bool
+    ) -> None:
+        """Add one image's valid neighbourhoods."""
+        x, y = (self._gradients(np.where(mask[..., None], image, 0)) for image in (preds, target))
+        stability = GMS_STABILITY * self.data_range**2
+        similarity = (2 * x * y + stability) / (x * x + y * y + stability)
+        whole = cv2.erode(_halve(mask.astype(np.float32)), np.ones((3, 3)), borderValue=0.0) == 1
+        self.total += _sum(similarity[whole])
+        self.count += int(whole.sum())
+
+    @staticmethod
+    def _gradients(image: np.ndarray) -> np.ndarray:
+        """(H // 2, W // 2) gradient magnitudes of the halved luma."""
+        luma = _halve(image.mean(axis=-1, dtype=np.float32))
+        return cv2.magnitude(*(cv2.filter2D(luma, cv2.CV_32F, k) for k in (_PREWITT, _PREWITT.T)))
+
+
+def _halve(image: np.ndarray) -> np.ndarray:
+    """Means of 2 x 2 pixels of (H, W); an odd last row or column is dropped."""
+    height, width = (side // 2 for side in image.shape)
+    whole = image[: 2 * height, : 2 * width]
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+
+
+class LPIPS(MaskedMean):
+    """Learned perceptual distance (Zhang et al. 2018) with AlexNet, where its weights are here."""
+
+    higher_is_better = False
+
+    @classmethod
+    def missing(cls) -> str:
+        """Why this machine cannot compute it."""
+        return missing_weights("lpips", "alexnet-owt-7be5be79.pth")
+
+    def update(
+        self,
+        preds: np.ndarray,  # [H, W, C]
+        target: np.ndarray,  # [H, W, C]
+        mask: np.ndarray,  # [H, W] bool
+    ) -> None:
+        """Add the distance at one image's valid pixels; invalid ones are black in both."""
+        import torch
+
+        x, y = (
+            torch.from_numpy(np.where(mask[..., None], image, 0).astype(np.float32))
+            .permute(2, 0, 1)[None]
+            .div(self.data_range)
+            for image in (preds, target)
+        )
+        with torch.inference_mode():
+            distance = _alexnet_distance()(x, y, normalize=True)[0, 0].numpy()
+        self.total += float(distance[mask].sum(dtype=np.float64))
+        self.count += int(mask.sum())
+
+
+@cache
+def _alexnet_distance() -> Any:
+    import lpips
+
+    return lpips.LPIPS(net="alex", spatial=True, verbose=False).eval()
 
 
 @dataclass(frozen=True)
@@ -228,6 +353,8 @@ METRICS = {
     "sparse_psnr_removed": MetricSpec(PSNR, "reference-removed", "dB"),
     "ssim": MetricSpec(SSIM, "dense"),
     "mae": MetricSpec(MAE, "dense"),
+    "gms": MetricSpec(GMS, "dense"),
+    "lpips": MetricSpec(LPIPS, "dense"),
 }
 """Every metric by its name in the rows. Regions: the sparse reference's valid pixels, those of
 them that raw reprojection leaves empty (`new`), those whose point also passes the footprint test,

@@ -10,7 +10,7 @@ import numpy as np
 
 from geoevs.errors import GeoEvsError
 from geoevs.io import read_image, to_float
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, UNAVAILABLE, MethodEntry, read_outcomes
 from geoevs.protocol.masks import ConditionMask, Masks
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
@@ -184,7 +184,10 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
     }
     if preds is None:
         return {**row, "value": math.nan, "status": FAILED}
-    metric = METRICS[name].kind()
+    kind = METRICS[name].kind
+    if missing := kind.missing():
+        return {**row, "value": math.nan, "status": UNAVAILABLE, "reason": missing}
+    metric = kind()
     metric.update(preds, answer.target, answer.mask)
     value = metric.compute()
     return {**row, "value": value, "status": EMPTY_MASK if math.isnan(value) else OK}

@@ -1,101 +1,105 @@
-"""Speed against accuracy: what each entrant's pictures cost, and which entrants are worth it."""
+"""Speed against accuracy of every entrant: what pictures cost, and which entrants are worth it."""
 
-import io
+import math
 from typing import Any
 
-import altair as alt
+import numpy as np
 import pandas as pd
 
-from geoevs.protocol.entries import ORACLES
-from geoevs.results.costs import make_cost_table
-from geoevs.results.summary import summarise
-from geoevs.results.tables import display_name, is_control
+from geoevs.protocol.entries import FAILED, ORACLES
+from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE
+from geoevs.results.summary import bootstrap_mean, summarise
+from geoevs.results.tables import (
+    ENTRANT,
+    TableSpec,
+    display_name,
+    is_control,
+    table_rows,
+    table_spec,
+)
 
-SPLIT = "extrapolation"
-METRICS = {"sparse_psnr": "sparse PSNR, dB", "psnr": "PSNR over all pixels, dB"}
-COST = "render_seconds"
-ENTRANT = ["dataset", "method", "variant"]
+COSTS = {
+    "fit_seconds": "fit, seconds",
+    "render_seconds": "render, seconds a view",
+    "peak_memory_mb": "peak memory, MB",
+    "size_mb": "model on disk, MB",
+}
+"""What a picture costs, by its column and its axis."""
+
+SPEED = "render_seconds"
+"""The cost that charts of bins show."""
+
+ACCURACIES = ("sparse_psnr", "psnr", "psnr_removed", "lpips", "gms")
+"""What charts of a table show of its metrics, where it has them."""
+
+SMALLEST = {"fit_seconds": 1e-3, "render_seconds": 1e-5, "peak_memory_mb": 1.0, "size_mb": 1e-4}
+"""Where a logarithmic axis puts what costs nothing, or less than this."""
 
 
 def speed_accuracy(
-    scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
+    name: str, scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
 ) -> pd.DataFrame:
-    """What an extrapolated view of every entrant costs, and how good it is.
+    """What a view of every entrant costs, and how good it is.
 
     Args:
+        name: the table whose views these are, one of TABLES.
         scores: score rows.
         costs: cost rows.
         settings: the config's `tables` section.
 
     Returns:
-        A row for every data set, entrant and metric of METRICS that has a value: `name`, `control`,
-        `render_seconds`, `mean` with its interval `low` and `high`, and `frontier`: whether no
-        entrant of the data set is both faster and better. Oracles, which render nothing, are left
-        out.
+        A row for every data set, bin, entrant and metric of ACCURACIES with a finite value: `name`,
+        `control`, `mean` with its interval `low` and `high` over frames, for every cost of COSTS
+        its mean over fits with `_low` and `_high`, and `<cost>_frontier`: whether no entrant of
+        the same data set, bin and metric is both cheaper and better. Oracles, which render
+        nothing, are left out.
     """
-    rows = scores[
-        (scores["split"] == SPLIT) & scores["metric"].isin(METRICS) & (scores["stressor"] == "")
-    ]
-    rows = rows[~rows["method"].isin(ORACLES)]
-    by = [*ENTRANT, "metric"]
+    spec = table_spec(name)
+    rows = table_rows(spec, scores, settings)
+    rows = rows[rows["metric"].isin(_accuracies(spec)) & ~rows["method"].isin(ORACLES)]
+    by = [*ENTRANT, "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
-    cost = make_cost_table(costs)[[*ENTRANT, COST]]
-    table = summary.merge(cost, on=ENTRANT).dropna(subset=["mean", COST])
+    table = summary.merge(_costs(spec, costs, settings), on=ENTRANT)
+    table = table[np.isfinite(table["mean"].astype(np.float64))]  # exact copies are off every axis
     table["name"] = [display_name(*pair) for pair in zip(table.method, table.variant, strict=True)]
     table["control"] = table["method"].map(is_control)
-    table["frontier"] = False
-    for _, group in table.groupby(["dataset", "metric"]):
-        table.loc[group.index, "frontier"] = _frontier(group)
-    return table
+    for cost in COSTS:
+        table[f"{cost}_frontier"] = False
+    for (_, _, metric), group in table.groupby(["dataset", "bin", "metric"]):
+        for cost in COSTS:
+            table.loc[group.index, f"{cost}_frontier"] = _frontier(group, cost, metric)
+    return table.reset_index(drop=True)
 
 
-def _frontier(rows: pd.DataFrame) -> pd.Series:
+def _accuracies(spec: TableSpec) -> list[str]:
+    return [metric for metric in ACCURACIES if metric in spec.metrics]
+
+
+def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """Means over fits and their intervals, for every entrant; NaN ends for one fit alone."""
+    sources = FRONT_SIDE if spec.splits == ("interpolation",) else ALL_CAMERAS
+    rows = costs[(costs["sources"] == sources) & (costs["status"] != FAILED)].assign(
+        peak_memory_mb=costs["peak_memory"] / 1e6, size_mb=costs["bytes"] / 1e6
+    )
+    found = []
+    for entrant, group in rows.groupby(list(ENTRANT), sort=False):
+        row = dict(zip(ENTRANT, entrant, strict=True))
+        for cost, smallest in SMALLEST.items():
+            values = group[cost].clip(lower=smallest).to_numpy(np.float64)
+            fits = np.zeros(len(values))  # all of one group, so that they are redrawn together
+            interval = bootstrap_mean(values, fits, settings["resamples"], settings["confidence"])
+            row[cost], row[f"{cost}_low"], row[f"{cost}_high"] = interval
+        found.append(row)
+    columns = [*ENTRANT, *(cost + end for cost in COSTS for end in ("", "_low", "_high"))]
+    return pd.DataFrame(found, columns=columns)
+
+
+def _frontier(rows: pd.DataFrame, cost: str, metric: str) -> pd.Series:
     """Which rows no other beats in both cost and mean."""
-    ordered = rows.sort_values([COST, "mean"], ascending=[True, False])
-    best = ordered["mean"].cummax().shift(fill_value=float("-inf"))
-    return (ordered["mean"] > best).reindex(rows.index)
-
-
-def speed_accuracy_chart(table: pd.DataFrame) -> alt.VConcatChart:
-    """One panel for every data set and metric: log seconds against accuracy, and the frontier."""
-    panels = [
-        _panel(rows, dataset, METRICS[metric])
-        for (dataset, metric), rows in table.groupby(["dataset", "metric"], sort=False)
-    ]
-    return alt.vconcat(*panels).configure_view(stroke=None)
-
-
-def _panel(rows: pd.DataFrame, dataset: str, title: str) -> alt.LayerChart:
-    base = alt.Chart(rows).encode(
-        x=alt.X(f"{COST}:Q", title="seconds a view").scale(type="log"),
-        y=alt.Y("mean:Q", title=title).scale(zero=False),
+    sign = 1 if METRICS[metric].higher_is_better else -1
+    ordered = rows.assign(gain=sign * rows["mean"]).sort_values(
+        [cost, "gain"], ascending=[True, False], kind="stable"
     )
-    shape = alt.Shape("control:N", title="control").scale(range=["circle", "triangle-up"])
-    points = base.mark_point(filled=True, size=70).encode(
-        shape=shape,
-        color=alt.Color("name:N", title=None, legend=None),
-        tooltip=["name", COST, "mean", "low", "high", "frontier"],
-    )
-    bars = base.mark_rule(opacity=0.5).encode(y="low:Q", y2="high:Q", color="name:N")
-    names = base.mark_text(align="left", dx=8, fontSize=11).encode(text="name:N")
-    line = (
-        base.transform_filter("datum.frontier")
-        .mark_line(interpolate="step-after", strokeDash=[4, 3], color="#888")
-        .encode(order=f"{COST}:Q")
-    )
-    heading = f"{dataset}: extrapolated views; dashed, the frontier"
-    return (line + bars + points + names).properties(width=620, height=320, title=heading)
-
-
-def chart_png(chart: alt.VConcatChart) -> bytes:
-    """A chart as PNG bytes."""
-    buffer = io.BytesIO()
-    chart.save(buffer, format="png", scale_factor=1.5)
-    return buffer.getvalue()
-
-
-def chart_html(chart: alt.VConcatChart) -> str:
-    """A chart as one page that needs no network."""
-    buffer = io.StringIO()
-    chart.save(buffer, format="html", inline=True)
-    return buffer.getvalue()
+    best = ordered["gain"].cummax().shift(fill_value=-math.inf)
+    return ((ordered["gain"] > best) & ordered[cost].notna()).reindex(rows.index)

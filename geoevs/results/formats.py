@@ -6,11 +6,13 @@ from collections.abc import Sequence
 import pandas as pd
 
 from geoevs.protocol.metrics import METRICS
-from geoevs.results.tables import LOWER_IS_BETTER_IN_PAPER, TableSpec, display_name
+from geoevs.protocol.set_metrics import SET_METRICS
+from geoevs.results.tables import TableSpec, display_name
 
 LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than the floor, the
-control mean-colour. ∞ = exact in some frame. Empty = not run, or not measurable here.
+control mean-colour. ∞ = exact in some frame. `floor` = the same distance between true images of
+other instants. Empty = not run, or not measurable here.
 """
 
 
@@ -21,7 +23,13 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
         header, body = _grid(spec, rows)
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
     parts.append(LEGEND)
+    parts += [f"Not measured: {why}.\n" for why in sorted(_unmeasured(table))]
     return "\n".join(parts)
+
+
+def _unmeasured(rows: pd.DataFrame) -> set[str]:
+    """Metrics without weights on this machine, each with the reason."""
+    return {why for cell in rows["unmeasured"] for why in cell.split("; ") if why}
 
 
 def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
@@ -56,12 +64,15 @@ def latex_tabular(
 
 
 def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
-    shown = [metric for metric in (*spec.metrics, *spec.paper_only) if _has_content(rows, metric)]
+    lacking = {why.partition(":")[0] for why in _unmeasured(rows)}
+    shown = [m for m in (*spec.metrics, *spec.set_metrics) if m in lacking or _has_content(rows, m)]
     header = ["method", *(["bin"] if spec.bins else [])]
     for metric in shown:
         if f"{metric}_paper" in rows:
             header.append(f"{metric} {_arrow(metric)} paper")
         header.append(f"{metric} {_arrow(metric)}")
+        if metric in spec.set_metrics and rows[f"{metric}_floor"].notna().any():
+            header.append(f"{metric} floor")
     body = []
     for row in rows.to_dict("records"):
         name = display_name(row["method"], row["variant"])
@@ -70,7 +81,10 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         for metric in shown:
             if f"{metric}_paper" in rows:
                 line.append(_number(metric, row[f"{metric}_paper"]))
-            line.append(_measured(metric, row))
+            without = metric in lacking and row["unmeasured"]
+            line.append("no weights" if without else _measured(metric, row))
+            if f"{metric} floor" in header:
+                line.append(_number(metric, row[f"{metric}_floor"]))
         body.append([*line, str(row["n"]) if row["n"] else "", row["note"]])
     return [*header, "n", "note"], body
 
@@ -80,12 +94,7 @@ def _has_content(rows: pd.DataFrame, metric: str) -> bool:
 
 
 def _arrow(metric: str) -> str:
-    higher = (
-        METRICS[metric].higher_is_better
-        if metric in METRICS
-        else (metric not in LOWER_IS_BETTER_IN_PAPER)
-    )
-    return "↑" if higher else "↓"
+    return "↑" if metric not in SET_METRICS and METRICS[metric].higher_is_better else "↓"
 
 
 def _number(metric: str, value: float) -> str:

@@ -23,15 +23,19 @@ PACKAGES = (
 )
 
 
-def make_manifest(config: Mapping[str, Any], inputs: Sequence[Path]) -> dict[str, Any]:
+def make_manifest(
+    config: Mapping[str, Any], inputs: Sequence[Path], configfiles: Sequence[str] = ()
+) -> dict[str, Any]:
     """Commit, config, input hashes, versions and machine; no times, so that reruns agree.
 
     Args:
         config: the merged config of the run.
         inputs: the scene stores and score files that it used.
+        configfiles: the files that the config was merged from, in order.
     """
     return {
         "commit": _commit(),
+        "configfiles": list(configfiles),
         "config": config,
         "seed": config["seed"],
         "inputs": {str(path): hash_path(path) for path in inputs},

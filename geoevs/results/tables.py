@@ -13,16 +13,17 @@ import yaml
 
 from geoevs.adapter import find_methods
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.protocol.entries import ORACLES
+from geoevs.protocol.entries import ORACLES, UNAVAILABLE
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.scoring import THINNING
 from geoevs.results.summary import summarise
 
+ENTRANT = ["dataset", "method", "variant"]
+"""Columns that tell who was scored on what."""
+
 FLOOR = "mean-colour"
 """The control that every method should beat; those that do not are flagged."""
-
-LOWER_IS_BETTER_IN_PAPER = ("fid", "lpips")
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class TableSpec:
         title: its heading.
         splits: the splits whose rows it averages.
         metrics: measured columns, the paper's first.
-        paper_only: columns of the paper that need weights this suite does not ship.
+        set_metrics: columns of distances between sets of images, each with its floor.
         bins: the row column that divides it, or none.
         edges: the config key, under `tables`, of the bins' edges; none where each split is a bin.
     """
@@ -41,7 +42,7 @@ class TableSpec:
     title: str
     splits: tuple[str, ...]
     metrics: tuple[str, ...]
-    paper_only: tuple[str, ...] = ()
+    set_metrics: tuple[str, ...] = ()
     bins: str = ""
     edges: str = ""
 
@@ -52,25 +53,26 @@ TABLES = {
         ("extrapolation",),
         (
             *("sparse_psnr", "sparse_ssim", "sparse_psnr_new", "sparse_psnr_footprint"),
-            *("psnr", "psnr_new", "psnr_supported", "ssim"),
+            *("psnr", "psnr_new", "psnr_supported", "ssim", "gms", "lpips"),
         ),
+        set_metrics=("fid", "kid", "texture_energy"),
     ),
     "interpolation": TableSpec(
         "Interpolation: the front camera from the front-side ones (paper table 5)",
         ("interpolation",),
-        ("ssim", "psnr", "mae"),
-        paper_only=("lpips",),
+        ("ssim", "psnr", "lpips", "mae", "gms"),
+        set_metrics=("texture_energy",),
     ),
     "observed": TableSpec(
         "Observed views, themselves among the sources (paper table 1)",
         ("observed",),
-        ("psnr", "ssim", "mae"),
-        paper_only=("fid",),
+        ("psnr", "ssim", "mae", "gms", "lpips"),
+        set_metrics=("fid", "kid", "texture_energy"),
     ),
     "pose_offset": TableSpec(
         "By angle to the front camera, in degrees (paper table 2, bottom left)",
         ("pose-sweep",),
-        ("sparse_psnr", "sparse_ssim", "psnr"),
+        ("sparse_psnr", "sparse_ssim", "psnr", "gms"),
         bins="pose_offset",
         edges="pose_bins",
     ),
@@ -93,41 +95,77 @@ TABLES = {
 }
 
 
-def make_table(name: str, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def make_table(
+    name: str, scores: pd.DataFrame, settings: dict[str, Any], sets: pd.DataFrame | None = None
+) -> pd.DataFrame:
     """One table: a row for every data set, method and bin, paper and measured columns.
 
     Args:
         name: one of TABLES.
         scores: score rows.
         settings: the config's `tables` section.
+        sets: rows of distances between sets of images; none are shown without.
 
     Returns:
         Columns `dataset`, `group` (paper, method or control), `method`, `variant`, `bin` for
         breakdowns, `<metric>_paper` where the paper has it, `<metric>`, `<metric>_low` and
-        `<metric>_high` for every metric, `n` and `failed` (views with a value of the first metric
-        that is defined there, and views without a render), `below_floor` (metrics that the floor
-        beats) and `note`.
+        `<metric>_high` for every metric, `<metric>_floor` for distances of sets, `n` and `failed`
+        (views with a value of the first metric that is defined there, and views without a render),
+        `below_floor` (metrics that the floor beats), `note`, and `unmeasured` (metrics that this
+        machine lacks the weights for, and why).
 
     Raises:
         GeoEvsError: there is no such table, or the rows come from different protocols.
     """
     spec = table_spec(name)
     check_fingerprints(scores)
-    rows = _table_rows(spec, scores, settings)
-    by = ["dataset", "method", "variant", "bin", "metric"]
+    rows = table_rows(spec, scores, settings)
+    by = [*ENTRANT, "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
-    bins = _bins(spec, settings)
-    ran = set(scores[["dataset", "method", "variant"]].itertuples(index=False, name=None))
+    distances = _set_means(spec, sets)
+    unmeasured = "; ".join(f"{metric}: {why}" for metric, why in _unavailable(rows, spec, sets))
+    bins = bin_names(spec, settings)
+    ran = set(scores[ENTRANT].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             _table_row(name, spec, summary, dataset, method, variant, label)
-            | ({} if (dataset, method, variant) in ran else {"note": "not run"})
+            | distances.get((dataset, method, variant), {})
+            | {"unmeasured": unmeasured}
+            | ({} if (dataset, method, variant) in ran else {"note": "not run", "unmeasured": ""})
             for dataset in scores["dataset"].unique()
             for method, variant in _entrants(name, scores)
             for label in bins
         ]
     )
     return table if spec.bins else table.drop(columns="bin")
+
+
+def _set_means(spec: TableSpec, sets: pd.DataFrame | None) -> dict[tuple, dict[str, float]]:
+    """The columns of distances of sets for every data set and entrant, means over seeds."""
+    if sets is None:
+        return {}
+    rows = sets[sets["split"].isin(spec.splits) & sets["metric"].isin(spec.set_metrics)]
+    found: dict[tuple, dict[str, float]] = {}
+    by = [*ENTRANT, "metric"]
+    for (*entrant, metric), group in rows.groupby(by, sort=False):
+        mean = group[["value", "low", "high", "floor"]].mean()
+        columns = dict(zip(("", "_low", "_high", "_floor"), mean, strict=True))
+        cells = {metric + suffix: value for suffix, value in columns.items()}
+        found.setdefault(tuple(entrant), {}).update(cells)
+    return found
+
+
+def _unavailable(
+    rows: pd.DataFrame, spec: TableSpec, sets: pd.DataFrame | None
+) -> list[tuple[str, str]]:
+    """Metrics without weights here, and why."""
+    found = []
+    for frame, metrics in ((rows, spec.metrics), (sets, spec.set_metrics)):
+        if frame is not None:
+            lacking = frame[(frame["status"] == UNAVAILABLE) & frame["metric"].isin(metrics)]
+            pairs = lacking[["metric", "reason"]].drop_duplicates("metric")
+            found += list(pairs.itertuples(index=False, name=None))
+    return found
 
 
 def table_spec(name: str) -> TableSpec:
@@ -150,7 +188,8 @@ def bin_labels(edges: Sequence[float]) -> list[str]:
     return [f"{low:g}-{high:g}" for low, high in itertools.pairwise(edges)]
 
 
-def _bins(spec: TableSpec, settings: dict[str, Any]) -> Sequence[str]:
+def bin_names(spec: TableSpec, settings: dict[str, Any]) -> Sequence[str]:
+    """The bins of a table in order; one without a name where it has none."""
     if not spec.bins:
         return [""]
     return bin_labels(settings[spec.edges]) if spec.edges else spec.splits
@@ -174,7 +213,8 @@ def _paper() -> dict[str, Any]:
     )
 
 
-def _table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def table_rows(spec: TableSpec, scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """The score rows that a table averages, with the column `bin`."""
     rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
     wanted = (rows["stressor"] == "") | (
         (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
@@ -231,11 +271,13 @@ def _table_row(
         "bin": label,
     }
     in_paper = {metric for values in _flat_paper(name, spec) for metric in values}
-    for metric in (*spec.metrics, *spec.paper_only):
+    for metric in (*spec.metrics, *spec.set_metrics):
         if metric in in_paper:
             row[f"{metric}_paper"] = printed.get(metric, math.nan)
         for column, suffix in (("mean", ""), ("low", "_low"), ("high", "_high")):
             row[metric + suffix] = mine[column].get(metric, math.nan)
+        if metric in spec.set_metrics:
+            row[f"{metric}_floor"] = math.nan
     defined = [metric for metric in spec.metrics if metric in mine.index]
     for count in ("n", "failed"):
         row[count] = int(mine[count][defined[0]]) if defined else 0

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.metrics import mean_squared_error, peak_signal_noise_ratio, structural_similarity
 
-from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM, PSNRSum, SSIMZeroFill
+from geoevs.protocol.metrics import GMS, MAE, METRICS, PSNR, RMSE, SSIM, PSNRSum, SSIMZeroFill
 
-KINDS = [PSNR, PSNRSum, MAE, RMSE, SSIM, SSIMZeroFill]
+KINDS = [PSNR, PSNRSum, MAE, RMSE, SSIM, SSIMZeroFill, GMS]
 
 
 def score(kind, preds, target, mask):
@@ -45,6 +45,15 @@ def test_full_mask_equals_scikit_image(images):
     assert score(SSIMZeroFill, preds, target, mask) == pytest.approx(ssim, abs=1e-9)
     assert score(RMSE, preds, target, mask) ** 2 == pytest.approx(mean_squared_error(preds, target))
     assert score(MAE, preds, target, mask) == pytest.approx(np.abs(preds - target).mean())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_single_precision_images_score_as_double_ones(kind, images):
+    preds, target = (image.astype(np.float32) for image in images)
+    mask = np.random.default_rng(4).random(target.shape[:2]) < 0.8
+    mask[:12, :12] = True
+    double = score(kind, preds.astype(np.float64), target.astype(np.float64), mask)
+    assert score(kind, preds, target, mask) == pytest.approx(double, rel=2e-6)
 
 
 def test_values_by_hand():
@@ -88,6 +97,7 @@ def test_zero_fill_inflates_as_support_shrinks_and_normalisation_does_not():
 def test_invalid_pixels_can_hold_anything(kind, junk, images):
     preds, target = images
     mask = np.random.default_rng(2).random(target.shape[:2]) < 0.5
+    mask[:12, :12] = True  # room for whole neighbourhoods
     hole = ~mask[..., None]
     spoiled = score(kind, np.where(hole, junk, preds), np.where(hole, -junk, target), mask)
     assert spoiled == score(kind, preds, target, mask)
@@ -103,6 +113,7 @@ def test_no_valid_pixel_is_nan(kind, images):
 def test_updates_pool_their_sums(kind, images):
     preds, target = images
     mask = np.random.default_rng(3).random(target.shape[:2]) < 0.7
+    mask[:12, :12] = True
     pooled = kind()
     pooled.update(preds, target, mask)
     pooled.update(preds, target, mask)
@@ -147,4 +158,14 @@ def test_ssim_stays_within_its_range(seed, support):
 
 def test_every_metric_declares_its_better_direction():
     worse_is_more = {name for name, spec in METRICS.items() if not spec.higher_is_better}
-    assert worse_is_more == {"sparse_mae", "sparse_rmse", "mae"}
+    assert worse_is_more == {"sparse_mae", "sparse_rmse", "mae", "lpips"}
+
+
+def test_gradient_similarity_by_hand():
+    # A vertical step of 0.3 in one image alone: its Prewitt gradients are 0.3 in the two columns
+    # of the halved image beside it, all others are zero.
+    target, preds = np.zeros((16, 16, 3)), np.zeros((16, 16, 3))
+    preds[:, 8:] = 0.3
+    beside = 0.0026 / (0.3**2 + 0.0026)
+    # Of the 6 x 6 inner pixels, two columns lie beside the step.
+    assert score(GMS, preds, target, full(target)) == pytest.approx((2 * beside + 4) / 6, rel=1e-5)

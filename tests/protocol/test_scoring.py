@@ -93,7 +93,7 @@ def test_every_target_has_every_metric_that_it_can(stage, renders):
     rows = scored(stage, renders, "grey")
     assert list(rows.columns) == list(SCORE_TYPES)
     main = rows[rows["stressor"] == ""]
-    dense = {"psnr", "ssim", "mae"}
+    dense = {"psnr", "ssim", "mae", "gms", "lpips"}
     for target in stage.targets:
         if target.masked:
             continue
@@ -144,7 +144,8 @@ def test_a_failed_render_is_rows_that_say_so(stage, renders):
     assert rows[failed]["value"].isna().all()
     for column in ("stage", "reason", "log"):
         assert rows[failed][column].unique().tolist() == [FAILED[column]]
-        assert rows[~failed][column].unique().tolist() == [""]
+        # What lpips needs may be missing here.
+        assert rows[~failed & (rows["metric"] != "lpips")][column].unique().tolist() == [""]
     same = ["frame", "target", "metric", "valid_pixels", "support_ratio"]
     assert rows[same].equals(fine[same])
 
@@ -166,7 +167,18 @@ def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
     assert (rows[sparse][["valid_pixels", "support_ratio"]] == 0).all(axis=None)
     supported = rows["metric"] == "psnr_supported"  # nor does raw reprojection support a pixel
     assert (rows[supported]["status"] == "empty-mask").all()
-    assert (rows[~sparse & ~supported]["status"] == "ok").all()
+    others = ~sparse & ~supported & (rows["metric"] != "lpips")  # its weights may be missing here
+    assert (rows[others]["status"] == "ok").all()
+
+
+def test_a_metric_without_weights_is_rows_that_say_so(stage, renders, monkeypatch):
+    monkeypatch.setattr("geoevs.protocol.weights.find_spec", lambda name: None)
+    rows = scored(stage, renders, "grey")
+    learned = rows[rows["metric"] == "lpips"]
+    assert len(learned) == len(rows[rows["metric"] == "psnr"])
+    assert (learned["status"] == "unavailable").all()
+    assert learned["value"].isna().all()
+    assert learned["reason"].str.startswith("the package lpips is not installed (pip").all()
 
 
 def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders, tmp_path):
@@ -174,7 +186,13 @@ def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders,
     rows = scored(stage, renders, "grey", evidence)
     virtual = rows[rows["split"].isin(["extrapolation", "pose-sweep"])]
     assert virtual["metric"].str.startswith("sparse").all()
-    assert set(rows[rows["split"] == "interpolation"]["metric"]) == {"psnr", "ssim", "mae"}
+    assert set(rows[rows["split"] == "interpolation"]["metric"]) == {
+        "psnr",
+        "ssim",
+        "mae",
+        "gms",
+        "lpips",
+    }
 
 
 def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):

@@ -1,17 +1,29 @@
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs.results.charts import chart_html, chart_png, speed_accuracy, speed_accuracy_chart
+from geoevs.results.chart_pages import (
+    HEIGHT,
+    LABEL_SIZE,
+    _label_heights,
+    draw_page,
+    page_html,
+    page_png,
+)
+from geoevs.results.charts import COSTS, speed_accuracy
+from geoevs.results.tables import TABLES
 
-SETTINGS = {"resamples": 100, "confidence": 0.9}
-# seconds a view, sparse PSNR of two frames
+BINS = {"pose_bins": [0, 10, 30], "support_bins": [0, 0.02, 0.1]}
+SETTINGS = {"resamples": 100, "confidence": 0.9, **BINS}
+# Seconds a view on two scenes, and sparse PSNR of two frames.
 ENTRANTS = {
-    ("mean-colour", "default"): (0.001, (10.0, 12.0)),
-    ("reproject", "default"): (0.010, (20.0, 24.0)),
-    ("geo-evs", "default"): (0.100, (21.0, 22.0)),  # slower and worse than reproject
-    ("geo-evs", "t1"): (0.020, (25.0, 25.0)),
-    ("reference", "default"): (0.001, (60.0, 60.0)),
+    ("mean-colour", "default"): ((0.001, 0.001), (10.0, 12.0)),
+    ("reproject", "default"): ((0.008, 0.012), (20.0, 24.0)),
+    ("geo-evs", "default"): ((0.100, 0.100), (21.0, 22.0)),  # slower and worse than reproject
+    ("geo-evs", "t1"): ((0.020, 0.020), (25.0, 25.0)),
+    ("reference", "default"): ((0.001, 0.001), (60.0, 60.0)),
 }
 
 
@@ -21,20 +33,27 @@ def rows():
     for (method, variant), (seconds, values) in ENTRANTS.items():
         entrant = {"dataset": "d", "method": method, "variant": variant}
         for frame, value in enumerate(values):
-            score = {"scene": "s", "frame": frame, "split": "extrapolation", "stressor": ""}
-            kept = {"metric": "sparse_psnr", "value": value, "status": "ok"}
-            scores += [{**entrant, **score, **kept}]
-            scores += [{**entrant, **score, **kept, "split": "observed", "value": 99.0}]
-            scores += [{**entrant, **score, **kept, "stressor": "thinning", "value": 99.0}]
-        cost = {"sources": "all-cameras", "status": "ok", "device": "cpu", "threads": 2}
-        zero = dict.fromkeys(("fit_seconds", "peak_memory", "gpu_memory", "primitives"), 0.0)
-        sizes = {"parameters": 0.0, "bytes": 0.0}
-        costs.append({**entrant, **cost, **zero, **sizes, "render_seconds": seconds})
-    return pd.DataFrame(scores), pd.DataFrame(costs)
+            score = {"scene": "s", "frame": frame, "stressor": "", "pose_offset": 5.0 + 10 * frame}
+            score["support_ratio"] = 0.01
+            kept = {**entrant, **score, "metric": "sparse_psnr", "value": value, "status": "ok"}
+            scores += [{**kept, "split": split} for split in ("extrapolation", "pose-sweep")]
+            scores += [{**kept, "split": "observed", "metric": "psnr", "value": np.inf}]
+            scores += [{**kept, "split": "interpolation", "metric": "psnr"}]
+            scores += [{**kept, "split": "extrapolation", "stressor": "thinning", "value": 99.0}]
+        for second in seconds:
+            cost = {"sources": "all-cameras", "status": "ok", "fit_seconds": 0.0, "bytes": 0}
+            spent = {**entrant, **cost, "peak_memory": 2e8, "render_seconds": second}
+            costs += [spent, {**spent, "sources": "front-side", "render_seconds": 2 * second}]
+    table = pd.DataFrame(scores)
+    return table, pd.DataFrame(costs)
+
+
+def charted(rows, name="extrapolation"):
+    return speed_accuracy(name, *rows, SETTINGS)
 
 
 def test_the_frontier_holds_what_nothing_beats_in_both(rows):
-    table = speed_accuracy(*rows, SETTINGS).set_index(["method", "variant"])
+    table = charted(rows).set_index(["method", "variant"])
     assert "reference" not in table.index.get_level_values(0)
     assert table["mean"].to_dict() == {
         ("mean-colour", "default"): 11.0,
@@ -42,32 +61,72 @@ def test_the_frontier_holds_what_nothing_beats_in_both(rows):
         ("geo-evs", "default"): 21.5,
         ("geo-evs", "t1"): 25.0,
     }
-    assert table["frontier"].to_dict() == {
+    assert table["render_seconds_frontier"].to_dict() == {
         ("mean-colour", "default"): True,
         ("reproject", "default"): True,
         ("geo-evs", "default"): False,
         ("geo-evs", "t1"): True,
     }
+    # All take the same memory, so that the best one alone is worth it.
+    assert table.index[table["peak_memory_mb_frontier"]].tolist() == [("geo-evs", "t1")]
     assert table["control"].tolist() == [True, True, False, False]
 
 
-def test_a_faster_better_entrant_empties_the_frontier(rows):
+def test_where_less_is_better_the_frontier_goes_down(rows):
     scores, costs = rows
-    costs.loc[costs["variant"] == "t1", "render_seconds"] = 0.0001
-    table = speed_accuracy(scores, costs, SETTINGS)
-    assert table.loc[table["frontier"], "variant"].tolist() == ["t1"]
+    table = charted((scores.assign(metric="lpips"), costs)).set_index(["method", "variant"])
+    assert table.index[table["render_seconds_frontier"]].tolist() == [("mean-colour", "default")]
 
 
-def test_entrants_that_failed_are_no_points(rows):
+def test_costs_have_intervals_and_logarithms(rows):
+    table = charted(rows).set_index(["method", "variant"])
+    row = table.loc[("reproject", "default")]
+    assert row["render_seconds"] == pytest.approx(0.010)
+    assert row["render_seconds_low"] == pytest.approx(0.008)
+    assert row["render_seconds_high"] == pytest.approx(0.012)
+    assert (row["fit_seconds"], row["size_mb"], row["peak_memory_mb"]) == (1e-3, 1e-4, 200)
+    assert set(COSTS) <= set(table.columns)
+
+
+def test_costs_are_of_the_sources_that_the_views_are_made_from(rows):
+    table = charted(rows, "interpolation").set_index(["method", "variant"])
+    assert table.loc[("geo-evs", "t1"), "render_seconds"] == pytest.approx(0.040)
+
+
+def test_every_bin_has_a_frontier_of_its_own(rows):
+    table = charted(rows, "pose_offset").set_index(["bin", "method", "variant"]).sort_index()
+    assert table.loc[("0-10", "geo-evs", "default"), "mean"] == 21.0
+    assert table.loc[("10-30", "geo-evs", "default"), "mean"] == 22.0
+    assert table.loc["0-10", "render_seconds_frontier"].sum() == 3
+
+
+def test_entrants_that_failed_or_are_exact_are_no_points(rows):
     scores, costs = rows
     scores.loc[scores["method"] == "reproject", "value"] = np.nan
-    table = speed_accuracy(scores, costs, SETTINGS)
-    assert "reproject" not in set(table["method"])
+    assert "reproject" not in set(charted((scores, costs))["method"])
+    assert charted(rows, "observed").empty
 
 
-def test_the_page_needs_no_network(rows):
-    chart = speed_accuracy_chart(speed_accuracy(*rows, SETTINGS))
-    page = chart_html(chart)
-    assert 'src="http' not in page
-    assert "Geo-EVS (t1)" in page
-    assert chart_png(chart).startswith(b"\x89PNG")
+def test_names_of_the_frontier_never_overlap():
+    near = {"x": [0.1, 0.11, 0.12, 0.13], "y": [20.0, 20.1, 20.2, 20.9], "frontier": [True] * 4}
+    data = pd.DataFrame({"name": ["a long name", "another one", "c", "d"], **near})
+    heights = _label_heights(data, [0.01, 0.2], [20.0, 21.0])
+    pixels = heights.sort_values() * HEIGHT
+    assert np.diff(pixels).min() >= LABEL_SIZE
+    assert (heights >= data["y"]).all()
+
+
+@pytest.mark.parametrize("name", ["extrapolation", "pose_offset"])
+def test_the_page_needs_no_network(rows, name):
+    page = draw_page(name, charted(rows, name), SETTINGS)
+    text = page_html(page)
+    assert 'src="http' not in text
+    assert "Geo-EVS (t1)" in text
+    assert page_png(page).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_without_any_value_still_has_a_page(rows, name):
+    scores, costs = rows
+    empty = charted((scores[:0], costs), name)
+    assert json.loads(draw_page(name, empty, SETTINGS).to_json())["vconcat"] == []

@@ -8,8 +8,9 @@ from geoevs.results.costs import cost_markdown, make_cost_table
 from geoevs.results.formats import LEGEND, to_latex, to_markdown
 from geoevs.results.tables import TableSpec
 
-SPEC = TableSpec("A title", "observed", ("psnr", "mae"), paper_only=("fid",))
-NONE = dict.fromkeys(("mae", "mae_low", "mae_high", "fid", "fid_low", "fid_high"), math.nan)
+SPEC = TableSpec("A title", "observed", ("psnr", "mae"), set_metrics=("fid",))
+FID = ("fid", "fid_low", "fid_high", "fid_floor")
+NONE = dict.fromkeys(("mae", "mae_low", "mae_high", *FID), math.nan) | {"unmeasured": ""}
 TABLE = pd.DataFrame(
     [
         {
@@ -68,7 +69,7 @@ def test_bins_have_their_column_and_data_sets_their_own_tables():
     spec = TableSpec("T", "pose-sweep", ("sparse_psnr",), bins="pose_offset", edges="pose_bins")
     values = {"sparse_psnr": 20.0, "sparse_psnr_low": math.nan, "sparse_psnr_high": math.nan}
     usual = {"group": "method", "method": "m", "variant": "default", "bin": "0-5", **values}
-    rest = {"n": 1, "failed": 0, "below_floor": "", "note": ""}
+    rest = {"n": 1, "failed": 0, "below_floor": "", "unmeasured": "", "note": ""}
     table = pd.DataFrame([{"dataset": name, **usual, **rest} for name in ("b", "a")])
     text = to_markdown(spec, table)
     assert text.index("## b") < text.index("## a")

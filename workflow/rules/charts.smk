@@ -1,4 +1,4 @@
-# Speed against accuracy of every entrant.
+# Speed against accuracy of every entrant, one page for every table.
 
 CHART_FILES = [in_run(layout.CHART) + suffix for suffix in (".csv", ".png", ".html")]
 
@@ -10,16 +10,16 @@ rule chart:
     output:
         CHART_FILES,
     log:
-        in_run("logs/chart.log"),
+        in_run("logs/chart/{table}.log"),
     params:
         settings=json.dumps(config["tables"]),
-        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
-        code=code_hash("geoevs.results.charts"),
+        stem=in_run(layout.CHART),
+        code=code_hash("geoevs.results.chart_pages"),
     shell:
-        "geoevs --log {log:q} chart --scores {input.scores:q} --costs {input.costs:q}"
-        " --settings {params.settings:q} --out {params.stem:q}"
+        "geoevs --log {log:q} chart {wildcards.table} --scores {input.scores:q}"
+        " --costs {input.costs:q} --settings {params.settings:q} --out {params.stem:q}"
 
 
 rule charts:
     input:
-        CHART_FILES,
+        expand(CHART_FILES, table=TABLES),

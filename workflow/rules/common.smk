@@ -77,6 +77,25 @@ def every_scene(pattern, scenes=TEST_SCENES):
     ]
 
 
+def config_files():
+    """The files that the config was merged from, as they were named if they lie here."""
+    paths = [Path(file).resolve() for file in workflow.configfiles]
+    here = Path.cwd()
+    return [
+        str(path.relative_to(here) if path.is_relative_to(here) else path)
+        for path in dict.fromkeys(paths)
+    ]
+
+
+def of_dataset(pattern, dataset):
+    """The pattern's paths for a data set's test scenes; other wildcards are kept."""
+    return [
+        in_run(pattern).replace("{dataset}", dataset).replace("{scene}", scene)
+        for owner, scene in TEST_SCENES
+        if owner == dataset
+    ]
+
+
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
     return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)

@@ -50,6 +50,46 @@ rule costs:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
 
+# Distances between all of an entrant's views of a data set and the truth.
+rule score_sets:
+    input:
+        scenes=lambda wildcards: of_dataset(layout.SCENE, wildcards.dataset),
+        targets=lambda wildcards: of_dataset(layout.TARGETS, wildcards.dataset),
+        truth=lambda wildcards: of_dataset(layout.TRUTH, wildcards.dataset),
+        renders=lambda wildcards: of_dataset(layout.RENDERS, wildcards.dataset),
+    output:
+        in_run(layout.SET_SCORE_PART),
+    log:
+        in_run("logs/score_sets/{dataset}/{label}.log"),
+    params:
+        entry=entry_arguments,
+        run=RUN,
+        scenes=lambda wildcards, input: with_option(
+            "--scenes", [Path(path).name for path in input.scenes]
+        ),
+        confidence=config["tables"]["confidence"],
+        code=code_hash("geoevs.protocol.set_scoring"),
+    shell:
+        "geoevs --log {log:q} score-sets {params.entry} --run {params.run:q}"
+        " --dataset {wildcards.dataset:q} {params.scenes} --confidence {params.confidence}"
+        " --out {output:q}"
+
+
+rule set_scores:
+    input:
+        expand(
+            in_run(layout.SET_SCORE_PART),
+            dataset=list(dict.fromkeys(dataset for dataset, _ in TEST_SCENES)),
+            label=ENTRIES,
+        ),
+    output:
+        in_run(layout.SET_SCORES),
+    log:
+        in_run("logs/set_scores.log"),
+    shell:
+        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+
+
 rule manifest:
     input:
         every_scene(layout.SCENE),
@@ -61,6 +101,8 @@ rule manifest:
     params:
         weights=starting_weights,
         config=json.dumps(config),
+        configfiles=with_option("--configfiles", config_files()),
+        code=code_hash("geoevs.results.manifest"),
     shell:
         "geoevs --log {log:q} manifest {input:q} {params.weights:q}"
-        " --config {params.config:q} --out {output:q}"
+        " --config {params.config:q} {params.configfiles} --out {output:q}"

@@ -17,6 +17,7 @@ BREAKDOWNS = ("pose_offset", "sparsity")
 rule table:
     input:
         scores=in_run(layout.SCORES),
+        sets=in_run(layout.SET_SCORES),
     output:
         TABLE_FILES,
     log:
@@ -27,7 +28,7 @@ rule table:
         code=code_hash("geoevs.results.tables", "geoevs.results.formats"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
-        " --settings {params.settings:q} --out {params.stem:q}"
+        " --sets {input.sets:q} --settings {params.settings:q} --out {params.stem:q}"
 
 
 rule cost_table:

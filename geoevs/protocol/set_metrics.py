@@ -1,0 +1,208 @@
+"""Distances between what a method renders and what is true, as sets of images.
+
+The real FID and KID run where their network is on the machine. `texture_energy` needs no weights:
+it is the energy distance, estimated as KID is, of statistics of derivatives at several scales.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.stats import norm
+
+from geoevs.protocol.weights import missing_weights
+
+INCEPTION = "weights-inception-2015-12-05-6726825d.pth"
+LEVELS = 4
+SMALLEST_SIDE = 8  # pixels of a pyramid's coarsest level
+DARKEST = 0.25 / 255  # under what 8 bits can tell; keeps logarithms finite
+
+
+def texture_features(image: np.ndarray) -> np.ndarray:
+    """(D,) statistics of an (H, W, 3) image in [0, 1]: its colours, and its texture at each scale.
+
+    Means and log deviations of the channels; then, for every level of a Gaussian pyramid, axis and
+    channel, the log of the derivative's root mean square and of its mean absolute value. Blur
+    lowers these, noise raises them, and holes pull the two apart.
+    """
+    level = image.astype(np.float32)
+    features = [level.mean(axis=(0, 1)), np.log(level.std(axis=(0, 1)) + DARKEST)]
+    for _ in range(LEVELS):
+        for axis in (0, 1):
+            derivative = np.diff(level, axis=axis).reshape(-1, 3)
+            features.append(0.5 * np.log(np.square(derivative).mean(axis=0) + DARKEST**2))
+            features.append(np.log(np.abs(derivative).mean(axis=0) + DARKEST))
+        if min(level.shape[:2]) < 2 * SMALLEST_SIDE:
+            break
+        level = cv2.pyrDown(level)
+    return np.concatenate(features).astype(np.float64)
+
+
+def inception_features(image: np.ndarray) -> np.ndarray:
+    """(2048,) pool features of torch-fidelity's Inception of an (H, W, 3) image in [0, 1]."""
+    import torch
+
+    from geoevs.io import to_uint8
+
+    pixels = torch.from_numpy(to_uint8(image)).permute(2, 0, 1)[None]
+    with torch.inference_mode():
+        return _inception()(pixels)[0][0].double().numpy()
+
+
+@cache
+def _inception() -> Any:
+    from torch_fidelity.feature_extractor_inceptionv3 import FeatureExtractorInceptionV3
+
+    return FeatureExtractorInceptionV3("inception-v3-compat", ["2048"])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A distance between sets, and the ends of its interval (NaN where it has none)."""
+
+    value: float
+    low: float = np.nan
+    high: float = np.nan
+
+
+def unbiased_mmd(
+    x: np.ndarray,  # [N, D]
+    y: np.ndarray,  # [N, D] paired: features of the same views
+    frames: np.ndarray,  # [N] which frame each view belongs to
+    confidence: float,
+    kernel: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> Estimate:
+    """Squared maximum mean discrepancy of paired sets.
+
+    The one-sample U-statistic of Gretton et al. 2012 (lemma 6): unbiased, so it may be negative,
+    and zero for exact copies. Its normal interval is of the jackknife that leaves out a frame at a
+    time, since the views of a frame are alike.
+    """
+    if len(x) < 2:
+        return Estimate(np.nan)
+    sums = kernel(x, x) + kernel(y, y)
+    cross = kernel(x, y)
+    sums -= cross + cross.T
+    np.fill_diagonal(sums, 0.0)
+    names, index = np.unique(frames, return_inverse=True)
+    member = np.eye(len(names))[index]  # [N, F]
+    between = member.T @ sums @ member  # [F, F]
+    counts = member.sum(axis=0)
+    value = sums.sum() / (len(x) * (len(x) - 1))
+    if len(names) < 3:
+        return Estimate(float(value))
+    left = len(x) - counts
+    total = sums.sum() - 2 * between.sum(axis=1) + np.diag(between)
+    without = total / (left * (left - 1))
+    spread = np.sqrt((len(names) - 1) * np.mean((without - without.mean()) ** 2))
+    reach = norm.ppf(0.5 + confidence / 2) * spread
+    return Estimate(float(value), float(value - reach), float(value + reach))
+
+
+def kernel_distance(
+    x: np.ndarray,  # [N, D]
+    y: np.ndarray,  # [N, D]
+    frames: np.ndarray,  # [N]
+    confidence: float,
+) -> Estimate:
+    """KID's discrepancy, of the kernel (x . y / D + 1) ** 3 (Binkowski et al. 2018)."""
+
+    def cubic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (a @ b.T / a.shape[1] + 1) ** 3
+
+    return unbiased_mmd(x, y, frames, confidence, cubic)
+
+
+def energy_distance(
+    x: np.ndarray,  # [N, D]
+    y: np.ndarray,  # [N, D]
+    frames: np.ndarray,  # [N]
+    confidence: float,
+) -> Estimate:
+    """The discrepancy of the kernel -|x - y| / sqrt(D): far outliers do not drown the others."""
+
+    def closeness(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return -cdist(a, b) / math.sqrt(a.shape[1])
+
+    return unbiased_mmd(x, y, frames, confidence, closeness)
+
+
+def frechet_distance(
+    x: np.ndarray,  # [N, D]
+    y: np.ndarray,  # [M, D]
+    frames: np.ndarray | None = None,
+    confidence: float = 0.0,
+) -> Estimate:
+    """Squared Frechet distance of two normal distributions (Heusel et al. 2017); no interval.
+
+    Its bias grows as sets shrink: with fewer views than features, compare it with its floor alone.
+    """
+    if min(len(x), len(y)) < 2:
+        return Estimate(np.nan)
+    # The trace of (A B) ** 0.5, from factors A = a'a and B = b'b: the singular values of a b'.
+    a, b = ((z - z.mean(axis=0)) / np.sqrt(len(z) - 1) for z in (x, y))
+    root = np.linalg.svd(a @ b.T, compute_uv=False).sum()
+    difference = np.square(x.mean(axis=0) - y.mean(axis=0)).sum()
+    return Estimate(float(difference + np.square(a).sum() + np.square(b).sum() - 2 * root))
+
+
+@dataclass(frozen=True)
+class SetMetric:
+    """A named distance of sets: what describes an image, and how descriptions are compared.
+
+    Args:
+        features: of one image.
+        distance: of two arrays of features.
+        standardised: whether features are first centred and scaled by those of the true images.
+        weights: the package and the file of weights that the features need, or nothing.
+    """
+
+    features: Callable[[np.ndarray], np.ndarray]
+    distance: Callable[..., Estimate]
+    standardised: bool = False
+    weights: tuple[str, str] | None = None
+
+    def missing(self) -> str:
+        """Why this machine cannot compute it; empty where it can."""
+        return missing_weights(*self.weights) if self.weights else ""
+
+
+_INCEPTION = ("torch_fidelity", INCEPTION)
+SET_METRICS = {
+    "fid": SetMetric(inception_features, frechet_distance, weights=_INCEPTION),
+    "kid": SetMetric(inception_features, kernel_distance, weights=_INCEPTION),
+    "texture_energy": SetMetric(texture_features, energy_distance, standardised=True),
+}
+"""Every distance of sets by its name in the rows; lower is better in all."""
+
+
+def standardise(
+    features: np.ndarray,  # [N, D]
+    true: np.ndarray,  # [N, D]
+) -> np.ndarray:
+    """Features centred and scaled by those of the true images."""
+    return (features - true.mean(axis=0)) / np.maximum(true.std(axis=0), 0.05)
+
+
+def real_floor(
+    metric: SetMetric,
+    true: np.ndarray,  # [N, D]
+    frames: np.ndarray,  # [N]
+) -> float:
+    """The distance of the true images of every other frame from those of the frames between.
+
+    That is what views of one scene differ by at another instant: no method need be nearer. NaN
+    where there is one frame alone.
+    """
+    _, index = np.unique(frames, return_inverse=True)
+    halves = [true[index % 2 == parity] for parity in (0, 1)]
+    shared = min(map(len, halves))
+    if not shared:
+        return np.nan
+    x, y = (half[:shared] for half in halves)
+    return metric.distance(x, y, np.arange(shared), 0.5).value

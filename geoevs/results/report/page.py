@@ -1,0 +1,226 @@
+"""The page itself: tables, charts, pictures, failures and the manifest in one HTML file."""
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+import vl_convert
+
+from geoevs import layout
+from geoevs.io import read_json, whole_file
+from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.results.report.pictures import comparison, file_address
+from geoevs.results.report.words import summarise_run
+from geoevs.results.tables import TABLES, display_name, is_control
+
+PICTURE_BUDGET = 17_000_000
+"""Bytes of the pictures to compare; with charts, tables and libraries a page stays below 25 MB."""
+
+LOG_TAIL = 6000
+"""Characters of a failed method's log that the page shows."""
+
+COMPARED = ("sparse_psnr", "psnr")
+"""Metrics that the comparison of pictures names for a single view."""
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """Something a run holds: a table, an interactive chart or a picture, or more of them.
+
+    Args:
+        name: what it is called, from its file.
+        rows: the CSV.
+        chart: the Vega-Lite chart.
+        picture: the address of a picture, where there is no chart.
+    """
+
+    name: str
+    rows: pd.DataFrame | None = None
+    chart: dict[str, Any] | None = None
+    picture: str = ""
+
+
+def make_page(run: Path) -> str:
+    """The report of a run, from its rows and from whatever tables and charts it holds.
+
+    Raises:
+        GeoEvsError: rows or the manifest are missing.
+    """
+    manifest = read_json(run / layout.MANIFEST)
+    columns = ["dataset", "scene", "frame", "target", "split", "method", "variant", "seed"]
+    columns += ["metric", "value", "support_ratio", "pose_offset", "stressor"]
+    scores = _rows(run / layout.SCORES, [*columns, "status", "reason", "fingerprint"])
+    costs, sets = _rows(run / layout.COSTS), _rows(run / layout.SET_SCORES)
+    exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
+    tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
+    compared = compared_views(run, scores)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("geoevs.results.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["table"] = table_html
+    return environment.get_template("page.html.jinja").render(
+        run=run.name,
+        manifest=manifest,
+        manifest_text=json.dumps(manifest, indent=1),
+        sentences=summarise_run(scores, costs, sets, manifest["config"]["tables"]),
+        tables=sorted(tables, key=_table_order),
+        titles={name: spec.title for name, spec in TABLES.items()},
+        exhibits={folder: some for folder, some in exhibits.items() if some},
+        failures=list(_failures(costs)),
+        compared=compared,
+        data=_script_json(compared),
+        charts=_script_json(
+            {
+                f"{folder}/{exhibit.name}": exhibit.chart
+                for folder, some in exhibits.items()
+                for exhibit in some
+                if exhibit.chart
+            }
+        ),
+        vega=vl_convert.javascript_bundle().replace("</script", "<\\/script"),
+        **{name: _asset(path) for name, path in ASSETS.items()},
+    )
+
+
+ASSETS = {
+    "style": "page.css",
+    "script": "page.js",
+    "slider": "img-comparison-slider.js",
+    "sortable": "sortable-tablesort.js",
+}
+
+
+def _asset(path: str) -> str:
+    return resources.files("geoevs.results.report").joinpath(path).read_text()
+
+
+def _rows(path: Path, columns: list[str] | None = None) -> pd.DataFrame:
+    with whole_file(path):
+        return pd.read_parquet(path, columns=columns)
+
+
+def _script_json(value: Any) -> str:
+    """JSON for a script element, which only `</` could end."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+
+
+def compared_views(run: Path, scores: pd.DataFrame) -> dict[str, Any]:
+    """What the comparison of pictures needs: see `comparison`; and each view's own scores."""
+    scenes = list(scores[["dataset", "scene"]].drop_duplicates().itertuples(index=False, name=None))
+    entries = scores[["method", "variant", "seed"]].drop_duplicates()
+    labels = [MethodEntry(m, v, {}, int(s)).label for m, v, s in entries.itertuples(index=False)]
+    views = comparison(run, scenes, labels, PICTURE_BUDGET)
+    rows = scores[scores["metric"].isin(COMPARED) & (scores["stressor"] == "")]
+    measured: dict[tuple, dict[str, dict[str, float]]] = {}
+    for row in rows[rows["value"].map(math.isfinite)].itertuples():
+        label = MethodEntry(row.method, row.variant, {}, int(row.seed)).label
+        view = measured.setdefault((row.dataset, row.scene, row.frame, row.target), {})
+        view.setdefault(label, {})[row.metric] = round(row.value, 2)
+    for view in views["views"]:
+        key = tuple(view[name] for name in ("dataset", "scene", "frame", "view"))
+        view["scores"] = measured.get(key, {})
+    return views
+
+
+def _result_folders(run: Path) -> list[str]:
+    """Folders of results, charts first."""
+    found = (path.name for path in run.iterdir() if path.is_dir() and path.name[0] != ".")
+    return sorted(set(found) - layout.DATA_FOLDERS, key=lambda name: (name != "charts", name))
+
+
+def _exhibits(folder: Path) -> Iterator[Exhibit]:
+    """What lies in a folder of results, files of one stem together."""
+    stems = {path.stem for suffix in ("csv", "png", "html") for path in folder.glob(f"*.{suffix}")}
+    for stem in sorted(stems):
+        table, picture, page = (folder / f"{stem}.{suffix}" for suffix in ("csv", "png", "html"))
+        chart = chart_of(page) if page.exists() else None
+        yield Exhibit(
+            stem,
+            _csv(table) if table.exists() else None,
+            chart,
+            file_address(picture) if picture.exists() and chart is None else "",
+        )
+
+
+def _csv(path: Path) -> pd.DataFrame:
+    with whole_file(path):
+        return pd.read_csv(path)
+
+
+def chart_of(page: Path) -> dict[str, Any] | None:
+    """The Vega-Lite chart in a page that Altair wrote; None where there is none."""
+    text = page.read_text()
+    found = re.search(r"\b(?:const|var|let) spec = (?=\{)", text)
+    return json.JSONDecoder().raw_decode(text, found.end())[0] if found else None
+
+
+def _table_order(exhibit: Exhibit) -> tuple[int, str]:
+    names = list(TABLES)
+    place = names.index(exhibit.name) if exhibit.name in names else len(names)
+    return place, exhibit.name
+
+
+def _failures(costs: pd.DataFrame) -> Iterator[dict[str, str]]:
+    for row in costs[costs["status"] == FAILED].itertuples():
+        log = Path(row.log) if row.log else None
+        yield {
+            "name": display_name(row.method, row.variant),
+            "place": f"{row.dataset}/{row.scene}, from {row.sources}",
+            **{"stage": row.stage, "reason": row.reason, "log": row.log},
+            "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
+        }
+
+
+def table_html(rows: pd.DataFrame) -> jinja2.utils.markupsafe.Markup:
+    """A table that readers can sort; a mean's interval stands in its cell.
+
+    Columns without any value are left out, and controls are set in italics.
+    """
+    rows = rows.dropna(axis="columns", how="all")
+    ends = {name for name in rows if name.endswith(("_low", "_high"))}
+    ends = {name for name in ends if re.sub("_(low|high)$", "", name) in rows}
+    shown = [name for name in rows if name not in ends]
+    escape = jinja2.utils.markupsafe.escape
+    head = "".join(f'<th scope="col">{escape(name.replace("_", " "))}</th>' for name in shown)
+    body = []
+    for row in rows.to_dict("records"):
+        control = is_control(str(row.get("method", "")))
+        cells = "".join(_cell(name, row) for name in shown)
+        body.append(f"<tr{' class=control' if control else ''}>{cells}</tr>")
+    markup = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
+    return jinja2.utils.markupsafe.Markup(f'<table class="sortable n-last">{markup}</table>')
+
+
+def _cell(name: str, row: Mapping[str, Any]) -> str:
+    value = row[name]
+    if isinstance(value, str):
+        return f"<td>{jinja2.utils.markupsafe.escape(value)}</td>"
+    if value is None or math.isnan(value):
+        return '<td data-sort=""></td>'
+    text = _number(value)
+    low, high = (row.get(name + end, math.nan) for end in ("_low", "_high"))
+    if not (math.isnan(low) or math.isnan(high)):
+        text += f" <small>[{_number(low)}, {_number(high)}]</small>"
+    return f'<td class="number" data-sort="{value}">{text}</td>'
+
+
+def _number(value: float) -> str:
+    """Four significant digits.
+
+    >>> _number(0.123456), _number(12.0), _number(math.inf)
+    ('0.1235', '12', '∞')
+    """
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.4g}" if abs(value) < 1e5 else f"{value:,.0f}"

@@ -1,0 +1,175 @@
+"""The pictures of a run that its page compares, within a budget of bytes."""
+
+import base64
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from geoevs import layout
+from geoevs.io import read_image, to_uint8
+from geoevs.protocol.masks import Masks
+from geoevs.protocol.reference import References
+from geoevs.protocol.targets import Target, read_targets
+from geoevs.protocol.truth import dense_truth
+from geoevs.results.figures import mask_picture, validity_picture
+from geoevs.scenes.store import Scene
+
+WIDEST = 384
+"""Pixels; wider pictures are shrunk to this."""
+
+QUALITIES = (80, 60, 40, 25)
+"""Of WebP; the first that the budget allows is taken."""
+
+TRUTH, REFERENCE = "truth", "sparse reference"
+
+
+@dataclass(frozen=True)
+class View:
+    """A target of a scene, and where its evidence and its renders lie."""
+
+    dataset: str
+    scene: str
+    target: Target
+    run: Path
+
+    @property
+    def where(self) -> dict[str, str]:
+        """What fills the layout's patterns."""
+        return {"dataset": self.dataset, "scene": self.scene}
+
+    def render(self, label: str) -> Path:
+        """The file of an entrant's render, which need not exist."""
+        folder = self.run / layout.RENDERS.format(label=label, **self.where)
+        return folder / f"{self.target.key}.png"
+
+
+def comparison(
+    run: Path, scenes: Sequence[tuple[str, str]], labels: Sequence[str], budget: int
+) -> dict[str, Any]:
+    """Every target's truth, evidence and renders as `data:` addresses.
+
+    If all of them take more than the budget at the lowest quality, frames are left out evenly.
+
+    Args:
+        run: the run's folder.
+        scenes: (dataset, scene) pairs.
+        labels: the entrants.
+        budget: bytes that the addresses may take together, about.
+
+    Returns:
+        `images`, a list of addresses; `views`, one dictionary a target, with its names and the
+        numbers of its pictures in that list; `quality` of the pictures, and `every`: the page has
+        each so-manieth frame.
+    """
+    views = [
+        View(dataset, scene, target, run)
+        for dataset, scene in scenes
+        for target in read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
+    ]
+    quality, every = _fit(views, labels, budget)
+    kept = _thinned(views, every)
+    images: dict[str, int] = {}
+    shown = [view for scene in scenes for view in _shown(kept, scene, labels, quality, images)]
+    return {"images": list(images), "views": shown, "quality": quality, "every": every}
+
+
+def _thinned(views: list[View], every: int) -> list[View]:
+    """The views of each scene's every so-manieth frame."""
+    frames: dict[tuple[str, str], list[int]] = {}
+    for view in views:
+        frames.setdefault((view.dataset, view.scene), []).append(view.target.frame)
+    kept = {place: set(sorted(set(some))[::every]) for place, some in frames.items()}
+    return [view for view in views if view.target.frame in kept[(view.dataset, view.scene)]]
+
+
+def _fit(views: list[View], labels: Sequence[str], budget: int) -> tuple[int, int]:
+    """The best quality, and the fewest frames left out, that a sample says will fit."""
+    files = [path for view in views for label in labels if (path := view.render(label)).exists()]
+    sample = files[:: max(1, len(files) // 48)]
+    pictures = [read_image(path) for path in sample]
+    needed = 0.0
+    for quality in QUALITIES:
+        mean = np.mean([len(_address(p, quality)) for p in pictures]) if pictures else 0.0
+        # Truth, evidence and overlay come to about two more pictures a view.
+        needed = float(mean) * (len(files) + 2 * len(views))
+        if needed <= budget:
+            return quality, 1
+    return QUALITIES[-1], int(np.ceil(needed / budget))
+
+
+def _shown(
+    views: list[View],
+    scene: tuple[str, str],
+    labels: Sequence[str],
+    quality: int,
+    images: dict[str, int],
+) -> Iterator[dict[str, Any]]:
+    """One scene's views, their pictures added to the images."""
+    where = dict(zip(("dataset", "scene"), scene, strict=True))
+    run = views[0].run if views else Path()
+    mine = [view for view in views if (view.dataset, view.scene) == scene]
+    if not mine:
+        return
+    store = Scene(run / layout.SCENE.format(**where))
+    references = References(run / layout.REFERENCES.format(**where))
+    masks = Masks(run / layout.MASKS.format(**where))
+    truth = run / layout.TRUTH.format(**where)
+
+    def number(picture: np.ndarray, exact: bool = False) -> int:
+        return images.setdefault(_address(picture, None if exact else quality), len(images))
+
+    for view in mine:
+        target = view.target
+        found: dict[str, int] = {}
+        overlay = None
+        dense = dense_truth(store, truth, target)
+        if dense is not None:
+            found[TRUTH] = number(to_uint8(dense))
+        if not target.recorded:
+            reference = references[target.unmasked.key]
+            found[REFERENCE] = number(to_uint8(reference.image()), exact=True)
+            overlay = number(validity_picture(reference), exact=True)
+        if target.masked:
+            overlay = number(mask_picture(masks[target.key]), exact=True)
+        for label in labels:
+            path = view.render(label)
+            if path.exists():
+                found[label] = number(read_image(path))
+        name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
+        yield {**where, **name, "overlay": overlay, "pictures": found}
+
+
+def _address(picture: np.ndarray, quality: int | None) -> str:
+    """A picture as the address of a WebP; without a quality it is exact, pixel by pixel."""
+    image = Image.fromarray(picture)
+    if image.width > WIDEST:
+        how = Image.Resampling.NEAREST if quality is None else Image.Resampling.BOX
+        image = image.resize((WIDEST, round(WIDEST * image.height / image.width)), how)
+    buffer = io.BytesIO()
+    if quality is None:
+        image.save(buffer, "webp", lossless=True, method=2)
+    else:
+        image.save(buffer, "webp", quality=quality, method=2)
+    return webp_address(buffer.getvalue())
+
+
+def webp_address(data: bytes) -> str:
+    """The address of a WebP's bytes."""
+    return "data:image/webp;base64," + base64.b64encode(data).decode()
+
+
+def file_address(path: Path, widest: int = 1600) -> str:
+    """The address of a picture file, as WebP and no wider than so many pixels."""
+    with Image.open(path) as opened:
+        image = opened.convert("RGB")
+    if image.width > widest:
+        size = (widest, round(widest * image.height / image.width))
+        image = image.resize(size, Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    image.save(buffer, "webp", quality=80)
+    return webp_address(buffer.getvalue())

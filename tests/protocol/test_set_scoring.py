@@ -1,0 +1,79 @@
+import math
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.io import to_uint8, write_image, write_json
+from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.set_scoring import SET_TYPES, score_sets, set_frame
+from geoevs.protocol.targets import read_targets
+from geoevs.protocol.truth import dense_truth
+
+WHERE = {"dataset": "d", "scene": "s"}
+OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
+OK |= {"peak_memory": 0, "gpu_memory": 0}
+
+
+@pytest.fixture(scope="module")
+def run(stage, tmp_path_factory):
+    """A run of the tiny scene: exact copies, flat greys, and one that failed from all cameras."""
+    folder = tmp_path_factory.mktemp("run")
+    shutil.copytree(stage.folder / "scene", folder / layout.SCENE.format(**WHERE))
+    shutil.copytree(stage.evidence.truth, folder / layout.TRUTH.format(**WHERE))
+    targets = folder / layout.TARGETS.format(**WHERE)
+    targets.parent.mkdir(parents=True)
+    shutil.copy(stage.evidence.targets, targets)
+    failed = {**OK, "status": "failed", "reason": "no points"}
+    for label in ("copy", "grey.flat", "broken"):
+        renders = folder / layout.RENDERS.format(label=label, **WHERE)
+        outcome = failed if label == "broken" else OK
+        write_json(renders / "render.json", {"all-cameras": outcome, "front-side": OK})
+        for target in read_targets(targets):
+            true = to_uint8(dense_truth(stage.store, stage.evidence.truth, target))
+            write_image(
+                renders / f"{target.key}.png", true if label == "copy" else np.full_like(true, 128)
+            )
+    return folder
+
+
+@pytest.fixture
+def scored(run):
+    def of(label: str) -> pd.DataFrame:
+        entry = MethodEntry.parse(label, {}, 0)
+        return set_frame(score_sets(entry, run, "d", ["s"], 0.95)).set_index(["split", "metric"])
+
+    return of
+
+
+def test_copies_are_at_no_distance_and_greys_far(scored):
+    copies, greys = scored("copy"), scored("grey.flat")
+    assert list(copies.reset_index()[list(SET_TYPES)]) == list(SET_TYPES)
+    for split in ("observed", "interpolation", "extrapolation"):
+        exact, flat = (rows.loc[(split, "texture_energy")] for rows in (copies, greys))
+        assert exact["value"] == pytest.approx(0.0, abs=1e-9)
+        assert flat["value"] > 10
+        if split != "interpolation":  # one view for each of two frames has no floor
+            assert flat["value"] > 10 * abs(flat["floor"])
+            assert exact["floor"] == flat["floor"]
+        assert (flat["status"], flat["variant"]) == ("ok", "flat")
+    assert "pose-sweep" not in copies.index.get_level_values(0)
+
+
+def test_without_weights_rows_say_so(scored, monkeypatch):
+    monkeypatch.setattr("geoevs.protocol.weights.find_spec", lambda name: None)
+    row = scored("copy").loc[("observed", "fid")]
+    assert row["status"] == "unavailable"
+    assert math.isnan(row["value"])
+    assert row["reason"].startswith("the package torch_fidelity is not installed (pip install")
+
+
+def test_a_failed_method_is_rows_that_say_so(scored):
+    rows = scored("broken")
+    row = rows.loc[("observed", "texture_energy")]
+    assert (row["status"], row["reason"], row["views"]) == ("failed", "no points", 0)
+    assert row["failed"] > 0
+    assert math.isnan(row["value"])
+    assert rows.loc[("interpolation", "texture_energy"), "status"] == "ok"

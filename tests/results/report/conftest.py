@@ -1,0 +1,80 @@
+"""A small run that has everything a report shows: pictures, tables, charts and a failure."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.io import write_bytes, write_image, write_json, write_text
+from geoevs.protocol.rows import COST_TYPES, SCORE_TYPES, cost_frame, score_frame
+from geoevs.protocol.set_scoring import set_frame
+from geoevs.protocol.targets import read_targets
+from geoevs.results.chart_pages import draw_page, page_html
+from geoevs.results.charts import speed_accuracy
+from geoevs.results.report.page import make_page
+from geoevs.results.tables import make_table
+
+PLACE = {"dataset": "d", "scene": "s"}
+SETTINGS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.1]}
+SETTINGS |= {"resamples": 100, "confidence": 0.95}
+VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, "broken": math.nan}
+
+
+@pytest.fixture(scope="session")
+def reported(run, tmp_path_factory):
+    """The run's folder, and its page."""
+    targets = read_targets(run / layout.TARGETS.format(**PLACE))
+    blank = {"string": "", "int64": 0, "float64": math.nan}
+    usual = {name: blank[kind] for name, kind in SCORE_TYPES.items()} | PLACE
+    usual |= {"variant": "default", "fingerprint": "f", "support_ratio": 0.01}
+    rows = [
+        {
+            **{**usual, "split": target.split, "frame": target.frame, "method": method},
+            **{"target": target.camera.name, "pose_offset": target.pose_offset},
+            **{"metric": metric, "value": value + target.frame, "seed": 0},
+            "status": "failed" if math.isnan(value) else "ok",
+        }
+        for method, value in VALUES.items()
+        for target in targets
+        for metric in ("sparse_psnr", "psnr")
+    ]
+    rows.append({**rows[0], "metric": "lpips", "status": "unavailable", "reason": "no weights"})
+    log = tmp_path_factory.mktemp("logs") / "broken.log"
+    log.write_text("Traceback: <out of points>\n")
+    zero = {name: blank[kind] for name, kind in COST_TYPES.items()} | PLACE
+    costs = [
+        {
+            **{**zero, "method": method, "variant": "default", "sources": sources},
+            **{"render_seconds": 10 ** (number - 3), "fit_seconds": 1.0, "peak_memory": 10**8},
+            **({"status": "ok"} if method != "broken" else failure(log)),
+        }
+        for number, method in enumerate(VALUES)
+        for sources in ("all-cameras", "front-side")
+    ]
+    scores, spent, sets = score_frame(rows), cost_frame(costs), set_frame([])
+    for path, frame in ((layout.SCORES, scores), (layout.COSTS, spent), (layout.SET_SCORES, sets)):
+        write_bytes(run / path, frame.to_parquet(index=False))
+    config = {"tables": SETTINGS, "methods": {"grey": {}}}
+    machine = {"processor": "a processor", "cores": 2}
+    versions = {"python": "3.11"}
+    manifest = {"commit": "abc", "seed": 0, "config": config, "versions": versions}
+    manifest |= {"configfiles": ["config.yaml", "other.yaml"]}
+    write_json(run / layout.MANIFEST, manifest | {"machine": machine})
+    table = make_table("extrapolation", scores, SETTINGS)
+    write_text(run / "tables/extrapolation.csv", table.to_csv(index=False))
+    points = speed_accuracy("extrapolation", scores, spent, SETTINGS)
+    write_text(run / "charts/extrapolation.csv", points.to_csv(index=False))
+    write_text(
+        run / "charts/extrapolation.html", page_html(draw_page("extrapolation", points, SETTINGS))
+    )
+    write_text(run / "stability/thinning.csv", pd.DataFrame({"level": [1, 2]}).to_csv(index=False))
+    write_image(run / "stability/thinning.png", np.full((20, 30, 3), 200, np.uint8))
+    page = run / layout.REPORT
+    write_text(page, make_page(run))
+    return run, page
+
+
+def failure(log):
+    return {"status": "failed", "stage": "fit", "reason": "no <points>", "log": str(log)}

@@ -1,0 +1,118 @@
+import json
+import re
+
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.errors import GeoEvsError
+from geoevs.protocol.targets import read_targets
+from geoevs.results.report.page import chart_of, make_page, table_html
+from geoevs.results.report.pictures import comparison
+
+PLACE = {"dataset": "d", "scene": "s"}
+SCENES = [("d", "s")]
+
+
+def embedded(page, name):
+    found = re.search(rf'id="{name}">(.*?)</script>', page.read_text(), re.DOTALL)
+    return json.loads(found[1])
+
+
+def test_the_page_holds_the_run_and_needs_nothing_else(reported):
+    _, page = reported
+    text = page.read_text()
+    markup = text[: text.index("<script")]
+    assert not re.search(r'(src|href)="(?!data:|#)', markup)
+    assert not re.search(r"@import|url\((?!data:)", text[: text.index("</style>")])
+    assert page.stat().st_size < 3e6
+    assert "no &lt;points&gt;" in text
+    assert "Traceback: &lt;out of points&gt;" in text
+    assert "Not measured: lpips, as no weights." in text
+    assert list(embedded(page, "charts-data")) == ["charts/extrapolation"]
+
+
+def test_results_of_any_folder_appear(reported):
+    _, page = reported
+    text = page.read_text()
+    assert '<a href="#stability">Stability</a>' in text
+    assert 'alt="stability: thinning" src="data:image/webp;base64,' in text
+    assert "thinning.csv" in text
+    assert '<section id="renders">' not in text
+
+
+def test_the_summary_is_made_from_the_numbers(reported):
+    _, page = reported
+    text = re.sub(r"&#3[49];", "'", page.read_text())
+    # Frames 0 and 1 of one scene: the mean of 22 and 23.
+    assert "By sparse PSNR of extrapolated views Geo-EVS (22.50 [" in text
+    assert "2.00 dB above the best control, reproject (20.50 [" in text
+    frontier = "mean-colour (0.001 s a view, 11.50 dB), reproject (0.01 s a view, 20.50 dB), "
+    assert f"each of these: {frontier}Geo-EVS (0.1 s a view, 22.50 dB)." in text
+    assert "Worse than one colour (mean-colour) on extrapolated views: grey on " in text
+    assert "Failed, on at least one scene: broken; see Failures." in text
+
+
+def test_every_view_has_its_pictures_and_scores(reported):
+    run, page = reported
+    data = embedded(page, "compare-data")
+    targets = read_targets(run / layout.TARGETS.format(**PLACE))
+    assert len(data["views"]) == len(targets)
+    assert data["every"] == 1
+    for view, target in zip(data["views"], targets, strict=True):
+        assert (view["view"], view["frame"]) == (target.camera.name, target.frame)
+        assert ("truth" in view["pictures"]) == target.recorded
+        assert ("sparse reference" in view["pictures"]) != target.recorded
+        assert "grey" in view["pictures"]
+        assert (view["overlay"] is None) == (target.recorded and not target.masked)
+        assert view["scores"]["reproject"] == {
+            "sparse_psnr": 20 + target.frame,
+            "psnr": 20 + target.frame,
+        }
+        assert "broken" not in view["scores"]
+    assert all(image.startswith("data:image/webp;base64,") for image in data["images"])
+
+
+def test_a_budget_lowers_quality_then_leaves_out_frames(run):
+    ample = comparison(run, SCENES, ["grey"], 10**8)
+    assert (ample["quality"], ample["every"]) == (80, 1)
+    scarce = comparison(run, SCENES, ["grey"], 6000)
+    assert scarce["quality"] == 25
+    assert scarce["every"] > 1
+    assert {view["frame"] for view in scarce["views"]} == {0}
+    assert len(scarce["views"]) < len(ample["views"])
+
+
+def test_means_stand_with_their_interval_and_sort_by_their_value():
+    rows = pd.DataFrame(
+        {
+            **{"method": ["geo-evs", "reproject"], "psnr": [21.5, float("inf")]},
+            **{"psnr_low": [20.0, float("nan")], "psnr_high": [23.0, float("nan")]},
+            **{"empty": [None, None], "note": ["<b>", ""], "gap_low": [1.0, 2.0]},
+        }
+    )
+    text = str(table_html(rows))
+    assert '<td class="number" data-sort="21.5">21.5 <small>[20, 23]</small></td>' in text
+    assert '<td class="number" data-sort="inf">∞</td>' in text
+    assert "<tr class=control><td>reproject</td>" in text
+    assert "&lt;b&gt;" in text
+    assert "empty" not in text
+    assert ">gap low</th>" in text  # an end without its mean is a column like others
+
+
+def test_pages_without_a_chart_have_none(tmp_path):
+    path = tmp_path / "a.html"
+    path.write_text("<p>const nothing = 1</p>")
+    assert chart_of(path) is None
+    path.write_text('<script>const spec = {"mark": "bar"};\nmore()</script>')
+    assert chart_of(path) == {"mark": "bar"}
+
+
+def test_the_same_run_gives_the_same_page(reported):
+    run, page = reported
+    assert make_page(run) == page.read_text()
+
+
+def test_a_run_without_rows_says_what_is_missing(tmp_path):
+    with pytest.raises(GeoEvsError, match=r"manifest\.json is missing; make or copy"):
+        make_page(tmp_path)

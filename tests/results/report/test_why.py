@@ -1,0 +1,58 @@
+import re
+import shlex
+
+import pytest
+
+from geoevs.errors import GeoEvsError
+from geoevs.results.why import Cell, explain
+
+
+def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
+    run, _ = reported
+    lines = explain(Cell("extrapolation", "grey", "sparse_psnr"), run)
+    text = "\n".join(lines)
+    # Two frames of four views each, 9 and 10 dB.
+    assert lines[0] == "cell      extrapolation grey sparse_psnr = 9.5 [9, 10] on d"
+    assert f"rows      8 in {run}/scores.parquet:" in text
+    assert 'method == "grey" and variant == "default" and metric == "sparse_psnr"' in text
+    lowest = re.findall(r"lowest +9: (\S+)", text)
+    assert len(lowest) == 3
+    assert all(path.endswith("/000000.png") and "/grey/" in path for path in lowest)
+    assert "commit    abc, seed 0, protocol f" in text
+    command = shlex.split(lines[-1].removeprefix("rerun"))
+    assert command[:3] == ["snakemake", "--cores", "2"]
+    assert command[3:6] == ["--configfile", "config.yaml", "other.yaml"]
+    assert f"{run}/parts/d/s/grey.scores.parquet" in command
+    assert command[-1] == f"{run}/tables/extrapolation.csv"
+
+
+def test_the_named_pictures_exist(reported):
+    run, _ = reported
+    lines = explain(Cell("extrapolation", "grey", "sparse_psnr"), run)
+    paths = [line.split(": ")[1] for line in lines if line.startswith(("lowest", "highest"))]
+    assert paths
+    for path in paths:
+        assert (run / path).exists()
+
+
+def test_the_papers_number_and_bins(reported):
+    run, _ = reported
+    cell = explain(Cell("extrapolation", "geo-evs", "sparse_psnr"), run)[0]
+    assert cell.endswith("on d; the paper prints 23.65")
+    cell = explain(Cell("pose_offset", "grey", "psnr", "15-30"), run)[0]
+    assert cell.startswith("cell      pose_offset grey psnr 15-30 = ")
+
+
+@pytest.mark.parametrize(
+    ("cell", "sentence"),
+    [
+        (Cell("extrapolaton", "grey", "psnr"), "no table 'extrapolaton'; did you mean 'extra"),
+        (Cell("extrapolation", "gray", "psnr"), "no entrant 'gray' here; did you mean 'grey'"),
+        (Cell("extrapolation", "grey", "pnsr"), "no metric 'pnsr' here; did you mean 'psnr'"),
+        (Cell("pose_offset", "grey", "psnr"), "no bin '' here; one of: 0-15, 15-30"),
+        (Cell("observed", "grey", "psnr", dataset="e"), "no data set 'e' here; one of: d"),
+    ],
+)
+def test_a_cell_that_is_none_is_named(reported, cell, sentence):
+    with pytest.raises(GeoEvsError, match=re.escape(sentence)):
+        explain(cell, reported[0])
