@@ -28,7 +28,8 @@ class TemporalResnet(nn.Module):
         super().__init__()
         self.spatial, self._frames = spatial, frames
         self.norm = nn.GroupNorm(spatial.norm2.num_groups, channels)
-        self.over_time = nn.Conv3d(channels, channels, (3, 1, 1), padding=(1, 0, 0))
+        # A convolution over three frames; torch's bfloat16 Conv3d was seen to give NaN gradients.
+        self.over_time = nn.Conv2d(3 * channels, channels, 1)
         nn.init.zeros_(self.over_time.weight)  # it starts as the block alone
         nn.init.zeros_(self.over_time.bias)
 
@@ -39,9 +40,10 @@ class TemporalResnet(nn.Module):
     ) -> Tensor:
         """[B * frames, channels, h, w]."""
         hidden = self.spatial(hidden, embedding)
-        clip = hidden.unflatten(0, (-1, self._frames)).transpose(1, 2)
-        change = self.over_time(functional.silu(self.norm(clip)))
-        return hidden + change.transpose(1, 2).flatten(0, 1)
+        clip = functional.silu(self.norm(hidden)).unflatten(0, (-1, self._frames))
+        around = functional.pad(clip, (0, 0, 0, 0, 0, 0, 1, 1))
+        three = torch.cat([around[:, :-2], clip, around[:, 2:]], dim=2)
+        return hidden + self.over_time(three.flatten(0, 1))
 
 
 class Preconditioning(NamedTuple):

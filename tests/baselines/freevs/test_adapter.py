@@ -66,7 +66,7 @@ def test_the_seed_and_the_options_decide_the_samples(fitted):
     assert np.abs(first - other).max() > 0.01
     for option in ({"steps": 3}, {"guidance": 2.0}, {"sigma_max": 5.0}):
         assert np.abs(first - fitted(**option).render(VIRTUAL, 1).rgb).max() > 0.001
-    with pytest.raises(GeoEvsError, match="^sampling has 0 steps; choose 1 or more$"):
+    with pytest.raises(GeoEvsError, match=r"^sampling has 0 steps; choose 1 or more$"):
         fitted(steps=0)
 
 
@@ -106,7 +106,7 @@ def test_costs_count_points_and_weights(fitted):
 
 def test_a_failed_training_is_the_reason(fitted, trained):
     write_json(trained / "failure.json", {"reason": "it diverged"})
-    with pytest.raises(GeoEvsError, match="^its training failed: it diverged$"):
+    with pytest.raises(GeoEvsError, match=r"^its training failed: it diverged$"):
         fitted()
 
 
