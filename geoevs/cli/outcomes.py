@@ -18,7 +18,7 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
-        *(collect, table, ablation_table, cost_table, geometry_table),
+        *(collect, table, ablation_table, cost_table, geometry_table, rank_agreement),
         *(grid, chart, manifest, install_weights, failures),
     ):
         app.command()(command)
@@ -100,6 +100,20 @@ def geometry_table(
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), geometry_markdown(made))
     write_text(out.with_suffix(".tex"), geometry_latex(made))
+
+
+def rank_agreement(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Compare the order of methods with the paper's, as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
+
+    made = make_rank_agreement(_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), rank_agreement_markdown(made))
 
 
 def grid(

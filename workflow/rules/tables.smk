@@ -8,6 +8,7 @@ COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
 GEOMETRY_FILES = [
     in_run(layout.GEOMETRY_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
 ]
+RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -73,6 +74,22 @@ rule geometry_table:
         " --out {params.stem:q}"
 
 
+rule rank_agreement:
+    input:
+        scores=in_run(layout.SCORES),
+    output:
+        RANK_FILES,
+    log:
+        in_run("logs/rank_agreement.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.rank_agreement"),
+    shell:
+        "geoevs --log {log:q} rank-agreement --scores {input.scores:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
+
+
 rule figure:
     input:
         every_result(layout.RENDERS),
@@ -110,4 +127,5 @@ rule tables:
         ABLATION_FILES,
         COST_FILES,
         GEOMETRY_FILES,
+        RANK_FILES,
         in_run(layout.MANIFEST),
