@@ -20,6 +20,12 @@ from geoevs.scenes.scene import SceneRef, source_class
 SUITE_MODEL = "vggt-nano"
 """The depth model whose pretrained weights come with this suite."""
 
+FREEVS = "freevs"
+"""The method whose training has a section of its own, and the name of that training."""
+
+TRAINING_PARTITIONS = {"train", "clips"}
+"""What a frame may serve both of."""
+
 Key = tuple[str | int, ...]
 
 
@@ -222,7 +228,7 @@ def _placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
 
 def _check_partitions(dataset: str, placed: Placed) -> None:
     for (first, text, ref), (second, other_text, other) in itertools.combinations(placed, 2):
-        if ref.overlaps(other):
+        if ref.overlaps(other) and {first, second} != TRAINING_PARTITIONS:
             raise GeoEvsError(
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and "
                 f"'{other_text}' in '{second}'; a frame may serve one partition only, so remove one"
@@ -237,7 +243,9 @@ def _check_shared(dataset: str, placed: Placed, other: str, other_placed: Placed
     for (first, text, ref), (second, other_text, other_ref) in itertools.product(
         placed, other_placed
     ):
-        if first != second and ref.overlaps(other_ref):
+        if first == second or {first, second} == TRAINING_PARTITIONS:
+            continue
+        if ref.overlaps(other_ref):
             raise GeoEvsError(
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and data set "
                 f"'{other}', of the same source, has '{other_text}' in '{second}'; a frame may "
@@ -286,6 +294,9 @@ def _check_masks(config: Mapping[str, Any], files: Sequence[Path]) -> None:
 def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     methods = [*ORACLES, *find_methods()]
     labels = set()
+    if FREEVS in config["training"]["variants"]:
+        where = _locate(("training", "variants", FREEVS), files)
+        raise GeoEvsError(f"{where}: '{FREEVS}' is FreeVS's own training; rename the variant")
     for entry in method_entries(config):
         name = entry.method if entry.variant == "default" else f"{entry.method}.{entry.variant}"
         with _located(("methods", name), files):
@@ -312,27 +323,29 @@ def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any
 
 
 def _check_training(config: Mapping[str, Any], entry: MethodEntry, name: str) -> None:
-    """Methods that are trained name a training, others none; it needs scenes."""
-    variants = config["training"]["variants"]
+    """Methods that are trained name a training of theirs, others none; it needs scenes."""
+    if entry.method == FREEVS:
+        trainings, where, partition = [FREEVS], FREEVS, "clips"
+    else:
+        trainings, where = list(config["training"]["variants"]), "training.variants"
+        partition = "train"
     trained = entry.method not in ORACLES and "training" in _needs(entry)
     if trained and not entry.training:
         raise GeoEvsError(
             f"method '{name}' is trained before it is fitted; name one under 'training' "
-            f"({', '.join(variants)})"
+            f"({', '.join(trainings)})"
         )
     if entry.training and not trained:
         raise GeoEvsError(f"method '{name}' is not trained; remove 'training'")
-    if trained and entry.training not in variants:
+    if trained and entry.training not in trainings:
         raise GeoEvsError(
-            f"there is no training '{entry.training}' under 'training.variants'; "
-            f"{did_you_mean(entry.training, variants)}"
+            f"there is no training '{entry.training}' under '{where}'; "
+            f"{did_you_mean(entry.training, trainings)}"
         )
-    if trained and not any(
-        dataset["partitions"].get("train") for dataset in config["datasets"].values()
-    ):
+    if trained and not partition_scenes(config, partition, config["datasets"]):
         raise GeoEvsError(
-            f"method '{name}' is trained, but no data set has scenes under partitions.train; name "
-            "some, or set the method to null"
+            f"method '{name}' is trained, but no data set has scenes under partitions.{partition}; "
+            "name some, or set the method to null"
         )
 
 

@@ -19,7 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         *(collect, table, ablation_table, cost_table, geometry_table, complexity_table),
-        *(grid, chart, report, manifest, install_weights, failures, why),
+        *(rank_agreement, grid, chart, report, manifest, install_weights, failures, why),
     ):
         app.command()(command)
 
@@ -116,6 +116,20 @@ def complexity_table(
     made = make_complexity_table(_rows(scores), _rows(costs))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), complexity_markdown(made))
+
+
+def rank_agreement(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Compare the order of methods with the paper's, as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
+
+    made = make_rank_agreement(_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), rank_agreement_markdown(made))
 
 
 def grid(

@@ -19,12 +19,24 @@ from geoevs.generator.prior import (
     save_autoencoder,
     save_denoiser,
 )
+from geoevs.io import read_json
 from geoevs.network_files import best_device
 from geoevs.training import mixed_precision
 
 DENOISER_FILE = "denoiser.safetensors"
 FAILURE_FILE = "failure.json"
 """In place of networks: why their training failed."""
+
+
+def check_trained(folder: Path) -> None:
+    """Check that a training left networks.
+
+    Raises:
+        GeoEvsError: it failed; the sentence has its reason.
+    """
+    failure = Path(folder) / FAILURE_FILE
+    if failure.exists():
+        raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from geoevs import layout
 from geoevs.adapter import find_methods
 from geoevs.code_hash import code_hash
 from geoevs.config import (
+    FREEVS,
     SUITE_MODEL,
     check_config,
     method_entries,
@@ -40,6 +41,7 @@ PROTOCOL = json.dumps(config["protocol"])
 ENTRIES = {entry.label: entry for entry in method_entries(config)}
 TEST_SCENES = partition_scenes(config, "test", config["evaluate"])
 TRAINING_SCENES = partition_scenes(config, "train", config["datasets"])
+CLIP_SCENES = partition_scenes(config, "clips", config["datasets"])
 GEOMETRY_SCENES = partition_scenes(config, "geometry", config["datasets"])
 PRETRAINING_SCENES = partition_scenes(config, "pretrain", config["datasets"])
 

@@ -11,6 +11,7 @@ GEOMETRY_FILES = [
 COMPLEXITY_FILES = [
     in_run(layout.COMPLEXITY_TABLE) + suffix for suffix in (".csv", ".md")
 ]
+RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -93,6 +94,22 @@ rule complexity_table:
         " --out {params.stem:q}"
 
 
+rule rank_agreement:
+    input:
+        scores=in_run(layout.SCORES),
+    output:
+        RANK_FILES,
+    log:
+        in_run("logs/rank_agreement.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.rank_agreement"),
+    shell:
+        "geoevs --log {log:q} rank-agreement --scores {input.scores:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
+
+
 rule figure:
     input:
         every_result(layout.RENDERS),
@@ -131,4 +148,5 @@ rule tables:
         COST_FILES,
         GEOMETRY_FILES,
         COMPLEXITY_FILES,
+        RANK_FILES,
         in_run(layout.MANIFEST),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.io import link_file, read_json, write_json
@@ -99,11 +98,9 @@ class Method:
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample; the settings of their training."""
-        from geoevs.generator.generator import FAILURE_FILE, Generator, Sampling
+        from geoevs.generator.generator import Generator, Sampling, check_trained
 
-        failure = Path(self.weights) / FAILURE_FILE
-        if failure.exists():
-            raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
+        check_trained(Path(self.weights))
         settings = read_json(Path(self.weights) / "settings.json")
         asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         asked = {name: value for name, value in asked.items() if value is not None}
