@@ -237,3 +237,24 @@ def pretrained(network):
 def pretraining_work(network):
     """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
     return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
+
+
+def other_results():
+    """Which results lie in the run besides those that the report always waits for, and how new."""
+    folders = [
+        path
+        for path in Path(RUN).glob("[!.]*/")
+        if path.is_dir() and path.name not in layout.DATA_FOLDERS
+    ]
+    files = [
+        file
+        for folder in folders
+        for suffix in ("csv", "png", "html")
+        for file in folder.glob(f"*.{suffix}")
+    ]
+    waited_for = {*rules.tables.input, *rules.charts.input}
+    return {
+        str(file): hash_path(file)
+        for file in sorted(files)
+        if str(file) not in waited_for
+    }
