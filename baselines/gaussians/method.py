@@ -67,13 +67,8 @@ class GaussianMethod:
                 choice = SizeChoice(self.iterations)
             else:
                 notes.append(f"{len(photos)} views are too few to choose a size by")
-        caps = {node.name: len(node.gaussians) for node in self._graph.nodes()}
-        caps["background"] = self.gaussians or MOST
-        strategies = {
-            name: make_strategy(self.densification, cap, self.iterations)
-            for name, cap in caps.items()
-        }
-        trainer = Trainer(self._graph, self.iterations, extents, strategies, own_loss, rng.torch)
+        strategy = make_strategy(self.densification, self.gaussians or MOST, self.iterations)
+        trainer = Trainer(self._graph, self.iterations, extents, strategy, own_loss, rng.torch)
         title = f"{self.info.name} of {views.scene_name}"
         with training_bar(title, self.iterations) as report:
             steps = train(trainer, photos, choice, until, rng.torch, report)

@@ -7,6 +7,7 @@ takes the gradients back to each node (Street Gaussians, Yan et al. 2024).
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -213,6 +214,7 @@ def _turned_harmonics(sh_rest: Tensor, yaw: Tensor) -> Tensor:  # [N, 0 or 3, 3]
     return torch.stack([sin * x + cos * y, z, cos * x - sin * y], dim=1)
 
 
+@lru_cache(maxsize=64)  # a scene's photographs, which are drawn again and again
 def _sky_grid(camera: Camera) -> np.ndarray:
     """(H, W, 2) float32 places in the sky's map, from -1 to 1 across it."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5

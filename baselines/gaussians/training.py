@@ -14,7 +14,7 @@ from baselines.gaussians.densification import (
     Strategy,
 )
 from baselines.gaussians.loss import photometric_loss
-from baselines.gaussians.nodes import Actor, Drawn, SceneGraph
+from baselines.gaussians.nodes import Drawn, SceneGraph
 from baselines.gaussians.optimiser import EPSILON, MEANS_DECAY, Optimiser
 from baselines.gaussians.size import SizeChoice
 from geoevs.adapter import Views
@@ -89,7 +89,7 @@ class Trainer:
         graph: trained in place.
         steps: how long the training is.
         extents: of each node, metres (see `scene_extent`).
-        strategies: of each node.
+        strategy: how the background's number changes; actors keep theirs.
         own_loss: what is added to the photometric loss.
         generator: of all randomness.
     """
@@ -99,7 +99,7 @@ class Trainer:
         graph: SceneGraph,
         steps: int,
         extents: dict[str, float],
-        strategies: dict[str, Strategy],
+        strategy: Strategy,
         own_loss: OwnLoss,
         generator: torch.Generator,
     ) -> None:
@@ -108,7 +108,7 @@ class Trainer:
             node.name: Optimiser(node.gaussians, steps, extents[node.name])
             for node in graph.nodes()
         }
-        self._strategies, self._own_loss, self._generator = strategies, own_loss, generator
+        self._strategy, self._own_loss, self._generator = strategy, own_loss, generator
         self._extras = {
             f"{name} of {node}": (tensor.requires_grad_(), EXTRA_RATES[name])
             for node, extras in graph.extras().items()
@@ -128,8 +128,7 @@ class Trainer:
         loss = photometric_loss(drawn.picture.rgb, photo.image)
         loss = loss + self._own_loss(self.graph, photo, drawn, step / self.steps)
         shown = [node for node in self.graph.nodes() if node.name in drawn.rows]
-        for node in shown:
-            loss = loss + self._strategies[node.name].penalty(node.gaussians)
+        loss = loss + self._strategy.penalty(self.graph.background.gaussians)
         loss.backward()
         for node in shown:
             self.optimisers[node.name].check(step, f" of {node.name}")
@@ -137,12 +136,11 @@ class Trainer:
         for node in shown:
             self.optimisers[node.name].step(step)
         self._step_extras(step)
-        for node in shown:
-            footprints = drawn.footprints(node.name)
-            optimiser, camera = self.optimisers[node.name], photo.camera
-            self._strategies[node.name].update(step, optimiser, footprints, camera, self._generator)
-            if isinstance(node, Actor):
-                node.confine()
+        footprints = drawn.footprints("background")
+        optimiser = self.optimisers["background"]
+        self._strategy.update(step, optimiser, footprints, photo.camera, self._generator)
+        for actor in self.graph.actors:
+            actor.confine()
         return loss.item()
 
     def _check_extras(self, step: int) -> None:

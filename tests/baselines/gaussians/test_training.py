@@ -34,9 +34,8 @@ def make_trainer(views_of_wall, generator):
         points = starting_points(views, count, np.random.default_rng(0), "lidar")
         graph = SceneGraph(Background(gaussians_from_points(points.xyz, points.rgb, 1)))
         graph.sky = Sky(torch.full((3, 4, 8), 0.5))
-        strategies = {"background": make_strategy(densification, cap, steps)}
-        extents = {"background": 5.0}
-        return Trainer(graph, steps, extents, strategies, own_loss, generator)
+        strategy = make_strategy(densification, cap, steps)
+        return Trainer(graph, steps, {"background": 5.0}, strategy, own_loss, generator)
 
     return make
 
