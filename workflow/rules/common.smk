@@ -96,6 +96,18 @@ def of_dataset(pattern, dataset):
     ]
 
 
+def other_results(expected):
+    """Hashes of results that lie in the run besides the expected ones, which its report shows too."""
+    found = [
+        file
+        for folder in Path(RUN).glob("[!.]*/")
+        if folder.name not in layout.DATA_FOLDERS
+        for suffix in ("csv", "png", "html")
+        for file in sorted(folder.glob(f"*.{suffix}"))
+    ]
+    return {str(file): hash_path(file) for file in found if str(file) not in expected}
+
+
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
     return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)

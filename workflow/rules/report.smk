@@ -1,27 +1,6 @@
 # One page that shows the whole run and opens without a network.
 
 
-def other_results():
-    """Which results lie in the run besides those that the report always waits for, and how new."""
-    folders = [
-        path
-        for path in Path(RUN).glob("[!.]*/")
-        if path.is_dir() and path.name not in layout.DATA_FOLDERS
-    ]
-    files = [
-        file
-        for folder in folders
-        for suffix in ("csv", "png", "html")
-        for file in folder.glob(f"*.{suffix}")
-    ]
-    waited_for = {*rules.tables.input, *rules.charts.input}
-    return {
-        str(file): hash_path(file)
-        for file in sorted(files)
-        if str(file) not in waited_for
-    }
-
-
 rule report:
     input:
         rules.tables.input,
@@ -39,8 +18,10 @@ rule report:
     log:
         in_run("logs/report.log"),
     params:
-        run=RUN,
-        others=lambda wildcards: other_results(),
+        run=lambda wildcards, output: Path(output[0]).parent,
+        others=lambda wildcards: other_results(
+            {*rules.tables.input, *rules.charts.input}
+        ),
         code=code_hash("geoevs.results.report.page"),
     shell:
         "geoevs --log {log:q} report --run {params.run:q} --out {output:q}"
