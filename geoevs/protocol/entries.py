@@ -11,8 +11,7 @@ REFERENCE, TRUTH = "reference", "truth"
 ORACLES = (REFERENCE, TRUTH)
 """Controls that copy what scores a method. No adapter can see that, so they are none."""
 
-OK, EMPTY_MASK, FAILED, UNAVAILABLE = "ok", "empty-mask", "failed", "unavailable"
-"""How a row can end; `unavailable`: the metric needs weights that are not on the machine."""
+OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
 OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_memory"}
 """What `fit.json` and `render.json` say of every set of sources, besides costs."""

@@ -10,13 +10,14 @@ import numpy as np
 
 from geoevs.errors import GeoEvsError
 from geoevs.io import read_image, to_float
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, UNAVAILABLE, MethodEntry, read_outcomes
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.masks import ConditionMask, Masks
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
+from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.scenes.store import Scene
 
 THINNING = "reference-thinning"

@@ -11,10 +11,11 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.io import read_image, to_float
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, UNAVAILABLE, MethodEntry, read_outcomes
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.set_metrics import SET_METRICS, SetMetric, real_floor, standardise
 from geoevs.protocol.targets import read_targets
 from geoevs.protocol.truth import dense_truth
+from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.scenes.store import Scene
 
 SET_SPLITS = ("observed", "interpolation", "extrapolation")

@@ -3,6 +3,9 @@
 from importlib.util import find_spec
 from pathlib import Path
 
+UNAVAILABLE = "unavailable"
+"""The status of rows whose metric needs weights that are not on the machine."""
+
 EXTRA = "pip install 'geoevs[perceptual]'"
 
 

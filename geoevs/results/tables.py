@@ -13,10 +13,11 @@ import yaml
 
 from geoevs.adapter import find_methods
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.protocol.entries import ORACLES, UNAVAILABLE
+from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.scoring import THINNING
+from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.summary import summarise
 
 ENTRANT = ["dataset", "method", "variant"]

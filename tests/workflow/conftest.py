@@ -56,5 +56,6 @@ def smoke_run(tmp_path_factory):
     workspace = Workspace(tmp_path_factory.mktemp("smoke"))
     overlay = workspace.folder / "failing.yaml"
     overlay.write_text("methods: {external: {options: {folder: nowhere}}}\n")
-    run = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "--", *workspace.EVERYTHING)
+    wanted = (*workspace.EVERYTHING, "report")
+    run = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "--", *wanted)
     return workspace, run

@@ -1,6 +1,10 @@
 import os
 import random
+import re
+import shlex
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -52,8 +56,9 @@ def test_the_whole_dag_runs(smoke_run):
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
-    inputs = read_json(results / "manifest.json")["inputs"]
-    assert {Path(name).name for name in inputs} >= {"junction-201", "prior.safetensors"}
+    manifest = read_json(results / "manifest.json")
+    assert {Path(name).name for name in manifest["inputs"]} >= {"junction-201", "prior.safetensors"}
+    assert manifest["configfiles"][:2] == ["config.yaml", "workflow/scales/smoke.yaml"]
 
 
 def test_scores_order_the_controls(smoke_run):
@@ -115,9 +120,53 @@ def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
     assert "nowhere" in named[0]
 
 
+def test_the_report_shows_every_table_chart_and_failure(smoke_run):
+    workspace, _ = smoke_run
+    results = workspace.folder / "results/smoke"
+    page = (results / "report.html").read_text()
+    assert len(page) < 5e6
+    for path in (*results.glob("tables/*.csv"), *results.glob("charts/*.csv")):
+        assert f'aria-label="Table {path.stem}"' in page or f"charts/{path.stem}" in page
+    assert "external could not fit street/junction-201" in page
+    assert "Not measured: fid, as " in page
+
+
+def test_distances_of_sets_fill_the_table_of_observed_views(smoke_run):
+    workspace, _ = smoke_run
+    table = pd.read_csv(workspace.folder / "results/smoke/tables/observed.csv")
+    rows = table.set_index(["method", "variant"])
+    copies, flat = (rows.loc[(name, "default")] for name in ("truth", "mean-colour"))
+    assert copies["texture_energy"] == pytest.approx(0.0, abs=1e-6)
+    assert flat["texture_energy"] > 10 * abs(flat["texture_energy_floor"])
+    ran = rows[rows["n"] > 0]
+    assert ran["texture_energy"].notna().all()
+    assert ran["unmeasured"].str.contains("fid: ").all()
+
+
+def test_why_names_what_a_cell_was_made_of(smoke_run):
+    workspace, _ = smoke_run
+    command = [sys.executable, "-m", "geoevs.cli.main", "why", "extrapolation", "geo-evs"]
+    run = subprocess.run(
+        [*command, "sparse_psnr", "--run", "smoke"],
+        cwd=workspace.folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    shown = re.search(r"lowest +\S+: (\S+)", run.stdout)
+    assert (workspace.folder / shown[1]).exists()
+    rerun = shlex.split(run.stdout.splitlines()[-1].removeprefix("rerun"))
+    first = rerun[: rerun.index("&&")]
+    assert first[0] == "snakemake"
+    plan = workspace.snakemake("-n", *first[3:])
+    jobs = re.findall(r"^rule (\w+):", plan.stdout + plan.stderr, re.MULTILINE)
+    assert jobs == ["fit", "render", "score"]
+
+
 def test_a_second_call_has_nothing_to_do(smoke_run):
     workspace, _ = smoke_run
-    again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "-n", "--", *workspace.EVERYTHING)
+    wanted = (*workspace.EVERYTHING, "report")
+    again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "-n", "--", *wanted)
     assert "Nothing to be done" in again.stdout + again.stderr
 
 

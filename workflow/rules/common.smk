@@ -98,6 +98,18 @@ def of_dataset(pattern, dataset):
     ]
 
 
+def other_results(expected):
+    """Hashes of results that lie in the run besides the expected ones, which its report shows too."""
+    found = [
+        file
+        for folder in Path(RUN).glob("[!.]*/")
+        if folder.name not in layout.DATA_FOLDERS
+        for suffix in ("csv", "png", "html")
+        for file in sorted(folder.glob(f"*.{suffix}"))
+    ]
+    return {str(file): hash_path(file) for file in found if str(file) not in expected}
+
+
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
     return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
@@ -237,24 +249,3 @@ def pretrained(network):
 def pretraining_work(network):
     """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
     return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
-
-
-def other_results():
-    """Which results lie in the run besides those that the report always waits for, and how new."""
-    folders = [
-        path
-        for path in Path(RUN).glob("[!.]*/")
-        if path.is_dir() and path.name not in layout.DATA_FOLDERS
-    ]
-    files = [
-        file
-        for folder in folders
-        for suffix in ("csv", "png", "html")
-        for file in folder.glob(f"*.{suffix}")
-    ]
-    waited_for = {*rules.tables.input, *rules.charts.input}
-    return {
-        str(file): hash_path(file)
-        for file in sorted(files)
-        if str(file) not in waited_for
-    }

@@ -18,8 +18,10 @@ rule report:
     log:
         in_run("logs/report.log"),
     params:
-        run=lambda wildcards: RUN,
-        others=lambda wildcards: other_results(),
+        run=lambda wildcards, output: Path(output[0]).parent,
+        others=lambda wildcards: other_results(
+            {*rules.tables.input, *rules.charts.input}
+        ),
         code=code_hash("geoevs.results.report.page"),
     shell:
         "geoevs --log {log:q} report --run {params.run:q} --out {output:q}"

@@ -63,7 +63,7 @@ rule score_sets:
         in_run("logs/score_sets/{dataset}/{label}.log"),
     params:
         entry=entry_arguments,
-        run=lambda wildcards: RUN,
+        run=lambda wildcards, output: Path(output[0]).parents[2],
         scenes=lambda wildcards, input: with_option(
             "--scenes", [Path(path).name for path in input.scenes]
         ),

@@ -5,7 +5,8 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.entries import FAILED, ORACLES, UNAVAILABLE
+from geoevs.protocol.entries import FAILED, ORACLES
+from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.charts import speed_accuracy
 from geoevs.results.tables import FLOOR, bin_names, display_name, make_table, table_spec
 
