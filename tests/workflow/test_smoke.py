@@ -12,10 +12,11 @@ from geoevs.io import read_image, read_json
 from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
+OF_THE_PAPER = ["emernerf", "freevs", "geo-evs"]  # of its methods, those that this suite runs
 # Everything but timings, which no two runs share.
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
-    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "trained"),
+    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "clips", "trained"),
 )
 UNSTABLE = {
     "costs.csv",
@@ -49,6 +50,10 @@ def test_the_whole_dag_runs(smoke_run):
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
+    assert (results / "trained/freevs.seed0/denoiser.safetensors").exists()
+    agreement = pd.read_csv(results / "tables/rank_agreement.csv")
+    assert agreement["methods"].tolist() == [len(OF_THE_PAPER)] * 4
+    assert agreement["tau"].between(-1, 1).all()
     inputs = read_json(results / "manifest.json")["inputs"]
     assert {Path(name).name for name in inputs} >= {"junction-201", "prior.safetensors"}
 
@@ -64,7 +69,8 @@ def test_scores_order_the_controls(smoke_run):
     # Six training steps already beat one colour; of the paper's other methods few have run.
     assert means["geo-evs-support"] > means["mean-colour"]
     assert means["emernerf"] > means["mean-colour"]
-    others = table[(table["group"] == "paper") & ~table["method"].isin(["geo-evs", "emernerf"])]
+    assert means["freevs"] > means["mean-colour"]
+    others = table[(table["group"] == "paper") & ~table["method"].isin(OF_THE_PAPER)]
     assert others["sparse_psnr"].isna().all()
 
 
@@ -183,6 +189,7 @@ def test_real_frames_run_too(workspace):
         "methods: {reproject: null, reference: null, nearest-view: null, geo-evs-support: null,"
         " emernerf: null}\n"
         "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
+        "freevs: {steps: 2, sampling: {steps: 1}}\n"
     )
     scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
     run = workspace.snakemake("--configfile", *scale, "--", "tables")
@@ -190,4 +197,4 @@ def test_real_frames_run_too(workspace):
     table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
     means = table.set_index("method")["sparse_psnr"]
     assert means["reproject-inpaint"] > means["mean-colour"] + 3
-    assert np.isfinite(means["geo-evs"])
+    assert np.isfinite(means[["geo-evs", "freevs"]]).all()
