@@ -59,6 +59,9 @@ training:
    drop: 0.1, encoder: trained, validity: true, filled: true, weighting: uniform,
    masks: reprojected, probability: 0.4, timesteps: uniform, sampling: {steps: 5},
    variants: {v1: {probability: 0}, v3: {}}}
+freevs:
+  {prior: nano, frames: 3, steps: 4, batch: 2, learning_rate: 0.001, drop: 0.1, simulated: 0.5,
+   noise: {mean: 0.7, std: 1.6}, sampling: {steps: 5}}
 """
 
 

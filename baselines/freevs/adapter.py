@@ -8,7 +8,8 @@ import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.io import link_file, read_json, write_json
+from geoevs.generator.trained import link_trained, read_trained
+from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
@@ -101,10 +102,8 @@ class Method:
     def _load_trained(self) -> None:
         """Read the networks, and how they sample."""
         from baselines.freevs.model import ClipGenerator, Sampling
-        from geoevs.generator.generator import check_trained
 
-        check_trained(Path(self.weights))
-        settings = read_json(Path(self.weights) / "settings.json")
+        settings = read_trained(Path(self.weights))
         asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         asked = {name: value for name, value in asked.items() if value is not None}
         self._sampling = Sampling(**settings["sampling"] | asked)
@@ -113,9 +112,7 @@ class Method:
     def save(self, folder: Path) -> None:
         """Write the views; link the weights, which many scenes share."""
         self._views.save(folder / "views")
-        for path in Path(self.weights).iterdir():
-            if path.is_file():
-                link_file(path, folder / "weights" / path.name)
+        link_trained(Path(self.weights), folder / "weights")
         options = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         write_json(folder / "options.json", {**options, "seed": self._seed})
 

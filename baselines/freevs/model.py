@@ -1,5 +1,6 @@
 """The trained networks: from pseudo-images of a clip to its views, on disk and off."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -9,12 +10,11 @@ import numpy as np
 import torch
 from diffusers import UNet2DConditionModel
 from torch import Tensor
-from torch.nn.functional import pad
 
 from baselines.freevs.denoiser import ClipDenoiser
 from baselines.freevs.encoder import PseudoImageEncoder, filled_latents
 from geoevs.errors import GeoEvsError
-from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
+from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_conditions
 from geoevs.generator.diffusion import Diffusion, guided
 from geoevs.generator.prior import AUTOENCODER_FILE, load_autoencoder, save_autoencoder
 from geoevs.network_files import best_device, load_weights, read_network, save_network
@@ -75,16 +75,14 @@ class ClipGenerator:
         """Sample clips; (B * frames, H, W, 3) float32 in [0, 1].
 
         Args:
-            images: pseudo-images of any size (see `padded`).
+            images: pseudo-images of any size.
             valid: which of their pixels hold a point.
             sampling: steps, guidance, ...
             random: on the CPU, so that every device starts from the same noise.
         """
         device = next(self.denoiser.parameters()).device
         height, width = valid.shape[1:]
-        padding = (0, -width % self.autoencoder.factor, 0, -height % self.autoencoder.factor)
-        shown = pad(to_tensor(images), padding).to(device)
-        mask = pad(torch.from_numpy(valid)[:, None], padding).to(device)
+        shown, mask = to_conditions(images, valid, self.autoencoder)
         with mixed_precision(device):
             filled = filled_latents(self.autoencoder, shown, mask)
             condition = filled + self.denoiser.encoder(shown, mask).float()
@@ -130,7 +128,7 @@ class ClipGenerator:
 
 
 def sample(
-    predict,
+    predict: Callable[[Tensor, Tensor], Tensor],
     noise: Tensor,  # [B, L, h, w] standard normal
     sampling: Sampling,
 ) -> Tensor:

@@ -75,7 +75,7 @@ def train(
 @contextmanager
 def failure_written(out: Path) -> Iterator[None]:
     """Where the block's training fails, leave the reason in place of its networks."""
-    from geoevs.generator.generator import FAILURE_FILE
+    from geoevs.generator.trained import FAILURE_FILE
     from geoevs.io import new_folder, write_json
 
     try:

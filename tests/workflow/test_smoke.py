@@ -16,10 +16,12 @@ from geoevs.io import read_image, read_json
 from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
+BASELINES = ["three-dgs", "street-gaussians", "emernerf", "freevs"]
+OF_THE_PAPER = ["geo-evs", *BASELINES]  # of its methods, those that this suite runs
 # Everything but timings, which no two runs share.
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
-    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "trained"),
+    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "clips", "trained"),
 )
 UNSTABLE = {
     "costs.csv",
@@ -56,6 +58,10 @@ def test_the_whole_dag_runs(smoke_run):
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
+    assert (results / "trained/freevs.seed0/denoiser.safetensors").exists()
+    agreement = pd.read_csv(results / "tables/rank_agreement.csv")
+    assert agreement["methods"].tolist() == [len(OF_THE_PAPER)] * 4
+    assert agreement["tau"].between(-1, 1).all()
     manifest = read_json(results / "manifest.json")
     assert {Path(name).name for name in manifest["inputs"]} >= {"junction-201", "prior.safetensors"}
     assert manifest["configfiles"][:2] == ["config.yaml", "workflow/scales/smoke.yaml"]
@@ -71,10 +77,8 @@ def test_scores_order_the_controls(smoke_run):
     assert table.set_index("method").loc[CONTROLS, "group"].eq("control").all()
     # Six training steps already beat one colour; of the paper's other methods few have run.
     assert means["geo-evs-support"] > means["mean-colour"]
-    reconstructions = ["three-dgs", "street-gaussians", "emernerf"]
-    assert (means[reconstructions] > means["mean-colour"]).all()
-    ran = ["geo-evs", *reconstructions]
-    others = table[(table["group"] == "paper") & ~table["method"].isin(ran)]
+    assert (means[BASELINES] > means["mean-colour"]).all()
+    others = table[(table["group"] == "paper") & ~table["method"].isin(OF_THE_PAPER)]
     assert others["sparse_psnr"].isna().all()
 
 
@@ -237,6 +241,7 @@ def test_real_frames_run_too(workspace):
         "methods: {reproject: null, reference: null, nearest-view: null, geo-evs-support: null,"
         " three-dgs: null, street-gaussians: null, emernerf: null}\n"
         "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
+        "freevs: {steps: 2, sampling: {steps: 1}}\n"
     )
     scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
     run = workspace.snakemake("--configfile", *scale, "--", "tables")
@@ -244,4 +249,4 @@ def test_real_frames_run_too(workspace):
     table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
     means = table.set_index("method")["sparse_psnr"]
     assert means["reproject-inpaint"] > means["mean-colour"] + 3
-    assert np.isfinite(means["geo-evs"])
+    assert np.isfinite(means[["geo-evs", "freevs"]]).all()
