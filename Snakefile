@@ -24,6 +24,7 @@ include: "workflow/rules/baselines.smk"
 include: "workflow/rules/score.smk"
 include: "workflow/rules/tables.smk"
 include: "workflow/rules/charts.smk"
+include: "workflow/rules/stability.smk"
 include: "workflow/rules/pretrain.smk"
 
 

@@ -36,7 +36,9 @@ def options(
 
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
-    for commands in ("stages", "geometry", "conditions", "generator", "outcomes", "adapters"):
+    for commands in (
+        *("stages", "geometry", "conditions", "generator", "stability", "outcomes", "adapters"),
+    ):
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
     try:
         app()

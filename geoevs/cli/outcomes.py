@@ -2,14 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from geoevs.cli.arguments import parse_json, scene_pairs
-
-if TYPE_CHECKING:
-    import pandas as pd
+from geoevs.cli.arguments import read_rows as _rows
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
@@ -189,13 +187,3 @@ def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet
             f"{row.sources}: {row.reason}; log: {row.log}",
             file=sys.stderr,
         )
-
-
-def _rows(path: Path) -> "pd.DataFrame":
-    """The rows of a Parquet file, or a sentence that names it."""
-    import pandas as pd
-
-    from geoevs.io import whole_file
-
-    with whole_file(path):
-        return pd.read_parquet(path)
