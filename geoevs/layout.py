@@ -36,8 +36,16 @@ RANK_TABLE = "tables/rank_agreement"
 PRETRAINED = "pretrain/{weights}.safetensors"
 CHART = "charts/{table}"
 REPORT = "report.html"
+STRESSED = "stability/scenes/{dataset}/{scene}/{stressor}/{level}.seed{draw}"
+STABILITY_RENDERS = "stability/renders/{dataset}/{scene}/{group}/{label}"
+STABILITY_PART = "stability/parts/{dataset}/{scene}/{group}/{label}.parquet"
+STABILITY_SCORES = "stability/scores.parquet"
+STABILITY_TABLE = "stability/stability.csv"
+BREAKING_POINTS = "stability/breaking_points"
+SEED_SPREAD = "stability/seed_spread.csv"
+STABILITY_CHART = "stability/{stressor}"
 
-RESULT_FOLDERS = {"tables", "figures", "charts"}
+RESULT_FOLDERS = {"tables", "figures", "charts", "stability"}
 DATA_FOLDERS = {
     pattern.split("/")[0]
     for name, pattern in list(vars().items())

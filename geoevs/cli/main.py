@@ -18,7 +18,18 @@ app = typer.Typer(
     help="Geo-EVS: benchmark extrapolative view synthesis in driving scenes. The whole protocol is "
     "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
 )
-COMMANDS = ("stages", "geometry", "conditions", "generator", "freevs", "outcomes", "adapters")
+COMMANDS = (
+    *(
+        "stages",
+        "geometry",
+        "conditions",
+        "generator",
+        "freevs",
+        "stability",
+        "outcomes",
+        "adapters",
+    ),
+)
 _log: Path | None = None
 
 

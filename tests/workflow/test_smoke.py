@@ -22,6 +22,7 @@ OF_THE_PAPER = ["geo-evs", *BASELINES]  # of its methods, those that this suite 
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
     *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "clips", "trained"),
+    "stability",
 )
 UNSTABLE = {
     "costs.csv",
@@ -105,6 +106,24 @@ def test_masked_views_tell_their_pixels_apart(smoke_run):
     assert sparse["reference"] > 50
     assert sparse["reproject-inpaint"] > sparse["reproject"]
     assert extrapolated["psnr_never"]["reproject-inpaint"] > extrapolated["psnr_never"]["reproject"]
+
+
+def test_stress_lowers_the_curves(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke/stability"
+    table = pd.read_csv(results / "stability.csv")
+    assert set(table["stressor"]) == {"support", "motion", "lateral", "edges"}
+    support = table[(table["stressor"] == "support") & (table["metric"] == "sparse_psnr")]
+    means = support.pivot_table("mean", "level", "method", dropna=False)
+    assert means["reproject"][0.005] < means["reproject"][0.05]
+    assert means["mean-colour"][0.005] == means["mean-colour"][0.05]  # it reads no LiDAR
+    assert set(pd.read_csv(results / "breaking_points.csv")["method"]) == {"geo-evs"}
+    spread = pd.read_csv(results / "seed_spread.csv").set_index(["method", "metric"])["mean"]
+    assert spread["geo-evs", "seed_spread_new"] > spread["reproject", "seed_spread_new"] == 0
+    for stressor in ("support", "motion", "lateral", "edges"):
+        assert read_image(results / f"{stressor}.png").std() > 10
+        assert 'src="http' not in (results / f"{stressor}.html").read_text()
 
 
 def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
