@@ -132,11 +132,11 @@ def stability_chart(
     import pandas as pd
 
     from geoevs.io import write_bytes, write_text
-    from geoevs.results.charts import chart_html, chart_png
+    from geoevs.results.chart_pages import page_html, page_png
     from geoevs.results.stability_chart import curves, stability_curves
 
     shown = curves(pd.read_csv(table), stressor)
     drawn = stability_curves(shown, stressor)
     write_text(out.with_suffix(".csv"), shown.to_csv(index=False))
-    write_bytes(out.with_suffix(".png"), chart_png(drawn))
-    write_text(out.with_suffix(".html"), chart_html(drawn))
+    write_bytes(out.with_suffix(".png"), page_png(drawn))
+    write_text(out.with_suffix(".html"), page_html(drawn))

@@ -5,9 +5,10 @@ import numpy as np
 import pandas as pd
 
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.charts import METRICS
 
-PANELS = METRICS | {
+PANELS = {
+    "sparse_psnr": "sparse PSNR, dB",
+    "psnr": "PSNR over all pixels, dB",
     "psnr_moving": "PSNR inside boxes of moving cars, dB",
     "psnr_still": "PSNR outside of them, dB",
     "psnr_supported": "PSNR where reprojection has support, dB",
