@@ -5,7 +5,6 @@ from typing import ClassVar
 from baselines.gaussians.method import GaussianMethod
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rng, Views
 
-
 FAR_SHARE = 4
 """One in so many of the points to start from lies farther than SfM and LiDAR reach."""
 
