@@ -20,8 +20,8 @@ FEWEST = 100
 """Points that a source must give: fewer leave most of a scene without any Gaussian to grow from."""
 
 RANDOM_POINTS = 5000
-RANDOM_DEPTHS = (2.0, 100.0)
-"""Metres: from the bonnet to where a street's facades end."""
+RANDOM_DEPTHS, FAR_DEPTHS = (2.0, 100.0), (50.0, 200.0)
+"""Metres: from the bonnet to where a street's facades end, and where neither SfM nor LiDAR sees."""
 
 EXTENT_MARGIN = 1.1
 LEAST_EXTENT = 20.0
@@ -63,7 +63,7 @@ def starting_points(
     makers: dict[str, Callable[[], StartingPoints]] = {
         "sfm": lambda: _sfm_points(views, cache),
         "lidar": lambda: _lidar_points(views),
-        "random": lambda: _random_points(views, rng),
+        "random": lambda: _random_points(views, rng, RANDOM_POINTS, RANDOM_DEPTHS),
     }
     reasons = []
     for source in sorted(SOURCES, key=lambda source: source != first):  # stable
@@ -123,16 +123,30 @@ def _lidar_points(views: Views) -> StartingPoints:
     return StartingPoints(xyz, rgb, f"{len(xyz)} LiDAR points")
 
 
-def _random_points(views: Views, rng: np.random.Generator) -> StartingPoints:
-    """Random pixels at random depths, as many at 2 to 4 metres as at 50 to 100."""
+def with_far_points(
+    points: StartingPoints, count: int, views: Views, rng: np.random.Generator
+) -> StartingPoints:
+    """Some points, and random ones behind them, for the sky and what else has no features."""
+    far = _random_points(views, rng, count, FAR_DEPTHS)
+    return StartingPoints(
+        np.concatenate([points.xyz, far.xyz]),
+        np.concatenate([points.rgb, far.rgb]),
+        f"{points.note}; {count} far ones",
+    )
+
+
+def _random_points(
+    views: Views, rng: np.random.Generator, total: int, depths: tuple[float, float]
+) -> StartingPoints:
+    """Random pixels at random depths, as many in every octave of them."""
     seers = [(name, frame) for frame in views.frames for name in views.cameras]
-    shares = np.bincount(rng.integers(len(seers), size=RANDOM_POINTS), minlength=len(seers))
+    shares = np.bincount(rng.integers(len(seers), size=total), minlength=len(seers))
     xyz, rgb = [], []
     for (name, frame), count in zip(seers, shares, strict=True):
         camera, image = views.camera(name, frame), views.image(name, frame)
         rows = rng.integers(camera.height, size=count)
         columns = rng.integers(camera.width, size=count)
-        depth = np.exp(rng.uniform(*np.log(RANDOM_DEPTHS), count))
+        depth = np.exp(rng.uniform(*np.log(depths), count))
         pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(count)])
         rays = camera.world_from_camera[:3, :3] @ np.linalg.solve(camera.K, pixels)
         xyz.append(camera.centre + (depth * rays).T)
@@ -140,5 +154,5 @@ def _random_points(views: Views, rng: np.random.Generator) -> StartingPoints:
     return StartingPoints(
         np.concatenate(xyz).astype(np.float32),
         np.concatenate(rgb).astype(np.float32),
-        f"{RANDOM_POINTS} random points",
+        f"{total} random points",
     )

@@ -18,8 +18,8 @@ from baselines.gaussians.rasterizer import blending_weights
 if TYPE_CHECKING:
     from baselines.gaussians.training import Photo, Trainer
 
-PRICE = 1.5e-5
-"""Decibels a Gaussian: a thousand must gain 0.015 dB on views that were held out."""
+PRICE = 1e-5
+"""Decibels a Gaussian: a thousand must gain 0.01 dB on views that were held out."""
 
 STARTING, MOST = 8_000, 32_000
 """Gaussians that a training starts from at most, and grows to."""

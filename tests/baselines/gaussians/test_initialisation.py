@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from baselines.gaussians import initialisation
-from baselines.gaussians.initialisation import FEWEST, scene_extent, starting_points
+from baselines.gaussians.initialisation import (
+    FEWEST,
+    scene_extent,
+    starting_points,
+    with_far_points,
+)
 from geoevs.errors import GeoEvsError
 from geoevs.projection import project_points
 
@@ -111,10 +116,22 @@ def test_a_damaged_cache_is_named(views_of_wall, tmp_path):
 @pytest.mark.parametrize(
     ("centres", "extent"),
     [
-        # Their mean is (20, 20, 1), from which the last is sqrt(400 + 1600) away.
-        ([(0, 0, 1), (20, 0, 1), (20, 20, 1), (40, 60, 1)], 1.1 * np.sqrt(2000)),
+        # Their mean is (0, 20, 20), from which the last is sqrt(400 + 1600) away.
+        ([(0, 0, 0), (0, 20, 0), (0, 20, 20), (0, 40, 60)], 1.1 * np.sqrt(2000)),
         ([(0, 0, 1), (0, 0.2, 1)], 20.0),
     ],
 )
 def test_extent(views_of_wall, centres, extent):
     assert scene_extent(views_of_wall(centres)) == pytest.approx(extent)
+
+
+def test_far_points_come_behind(views_of_wall):
+    views = views_of_wall(ASIDE)
+    points = start(views)
+    more = with_far_points(points, 500, views, np.random.default_rng(0))
+    assert more.note == f"{points.note}; 500 far ones"
+    count = len(points.xyz)
+    assert len(more.xyz) == len(more.rgb) == count + 500
+    np.testing.assert_array_equal(more.xyz[:count], points.xyz)
+    assert more.xyz[count:, 0].min() >= 50 - 1e-3
+    assert more.xyz[count:, 0].max() <= 200 + 1e-3

@@ -27,8 +27,8 @@ def test_contract():
 def test_the_note_says_where_it_starts(scene):
     # The tiny room is too smooth for features.
     _, report = fit(scene, gaussians=300)
-    assert report.note.startswith("starts from 300 of")
-    assert "LiDAR points; 0 points of SfM, too few" in report.note
+    assert report.note.startswith("starts from 225 of")
+    assert "LiDAR points; 0 points of SfM, too few; 75 far ones" in report.note
     assert report.primitives == 300
     assert report.parameters == 300 * 23
 
