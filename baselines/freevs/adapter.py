@@ -79,14 +79,14 @@ class Method:
         valid = np.stack([raster.mask & keep for raster in shown])
         # The view's own noise, whatever was rendered before.
         random = Rng(self._seed, camera.name, str(frame)).torch
-        clip = self._generator.generate(images, valid, self._sampling, random)
-        middle = len(frames) // 2
-        return Rendering(clip[middle], shown[middle].depth * keep, valid[middle])
+        (generated,) = self._generator.generate(images, valid, self._sampling, random)
+        middle = self._generator.middle
+        return Rendering(generated, shown[middle].depth * keep, valid[middle])
 
     def _clip(self, frame: int) -> list[int]:
         """The frames of a clip around one; those beyond the scene are its first or last again."""
         frames, length = self._views.frames, self._generator.denoiser.frames
-        first = frames.index(frame) - length // 2
+        first = frames.index(frame) - self._generator.middle
         places = np.clip(np.arange(first, first + length), 0, len(frames) - 1)
         return [frames[place] for place in places]
 

@@ -64,6 +64,11 @@ class ClipGenerator:
     autoencoder: Autoencoder
     denoiser: ClipDenoiser
 
+    @property
+    def middle(self) -> int:
+        """Which view of a clip is shown: it has neighbours on both sides."""
+        return self.denoiser.frames // 2
+
     @torch.inference_mode()
     def generate(
         self,
@@ -72,7 +77,7 @@ class ClipGenerator:
         sampling: Sampling,
         random: torch.Generator,
     ) -> np.ndarray:
-        """Sample clips; (B * frames, H, W, 3) float32 in [0, 1].
+        """Sample clips; (B, H, W, 3) float32 in [0, 1], the middle view of each.
 
         Args:
             images: pseudo-images of any size.
@@ -90,7 +95,7 @@ class ClipGenerator:
             nothing = torch.zeros_like(condition[:1, :, :1, :1])
             predict = guided(self.denoiser, condition, nothing, sampling.guidance)
             latents = sample(predict, noise, sampling)
-            decoded = self.autoencoder.decode(latents)
+            decoded = self.autoencoder.decode(latents[self.middle :: self.denoiser.frames])
         return to_arrays(decoded[..., :height, :width])
 
     def save(self, folder: Path) -> None:
