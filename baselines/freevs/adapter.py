@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # torch is imported where networks are made: configs are checked without one.
 
-SAMPLING_OPTIONS = ("steps", "guidance", "sigma_max")
+SAMPLING_OPTIONS = ("steps", "guidance", "sigma_max", "average")
 
 
 @dataclass
@@ -26,7 +26,7 @@ class Method:
 
     Args:
         weights: what `geoevs train-freevs` wrote.
-        steps, guidance, sigma_max: see `Sampling`; None takes what it was trained for.
+        steps, guidance, sigma_max, average: see `Sampling`; None takes what it was trained for.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -40,6 +40,7 @@ class Method:
     steps: int | None = None
     guidance: float | None = None
     sigma_max: float | None = None
+    average: int | None = None
     _views: Views = field(init=False)
     _sweeps: Sweeps = field(init=False)
     _generator: "ClipGenerator" = field(init=False)

@@ -64,6 +64,7 @@ def test_noise_falls_to_zero():
     ("wrong", "sentence"),
     [
         ({"steps": 0}, "sampling has 0 steps; choose 1 or more"),
+        ({"average": 0}, "sampling averages 0 samples; choose 1 or more"),
         ({"sigma_max": 0.001}, "sampling starts from noise of 0.001; choose more than 0.002"),
     ],
 )
