@@ -173,4 +173,7 @@ def test_the_papers_scale_is_the_papers(check):
     freevs = config["freevs"]
     assert (freevs["learning_rate"], freevs["drop"], freevs["simulated"]) == (5e-5, 0.2, 0.5)
     assert freevs["noise"] == {"mean": 0.7, "std": 1.6}
-    assert freevs["sampling"] == {"steps": 25, "guidance": 2.0, "sigma_max": 700.0}
+    assert freevs["sampling"] == {
+        **{"steps": 25, "guidance": 2.0},
+        **{"sigma_max": 700.0, "average": 1},
+    }

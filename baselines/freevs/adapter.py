@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # torch is imported where networks are made: configs are checked without one.
 
-SAMPLING_OPTIONS = ("steps", "guidance", "sigma_max")
+SAMPLING_OPTIONS = ("steps", "guidance", "sigma_max", "average")
 
 
 @dataclass
@@ -26,7 +26,7 @@ class Method:
 
     Args:
         weights: what `geoevs train-freevs` wrote.
-        steps, guidance, sigma_max: see `Sampling`; None takes what it was trained for.
+        steps, guidance, sigma_max, average: see `Sampling`; None takes what it was trained for.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -40,6 +40,7 @@ class Method:
     steps: int | None = None
     guidance: float | None = None
     sigma_max: float | None = None
+    average: int | None = None
     _views: Views = field(init=False)
     _sweeps: Sweeps = field(init=False)
     _generator: "ClipGenerator" = field(init=False)
@@ -79,14 +80,14 @@ class Method:
         valid = np.stack([raster.mask & keep for raster in shown])
         # The view's own noise, whatever was rendered before.
         random = Rng(self._seed, camera.name, str(frame)).torch
-        clip = self._generator.generate(images, valid, self._sampling, random)
-        middle = len(frames) // 2
-        return Rendering(clip[middle], shown[middle].depth * keep, valid[middle])
+        (generated,) = self._generator.generate(images, valid, self._sampling, random)
+        middle = self._generator.middle
+        return Rendering(generated, shown[middle].depth * keep, valid[middle])
 
     def _clip(self, frame: int) -> list[int]:
         """The frames of a clip around one; those beyond the scene are its first or last again."""
         frames, length = self._views.frames, self._generator.denoiser.frames
-        first = frames.index(frame) - length // 2
+        first = frames.index(frame) - self._generator.middle
         places = np.clip(np.arange(first, first + length), 0, len(frames) - 1)
         return [frames[place] for place in places]
 

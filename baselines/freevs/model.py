@@ -33,6 +33,7 @@ class Sampling:
         steps: of denoising.
         guidance: scale of classifier-free guidance; at 1 nothing is sampled without its condition.
         sigma_max: standard deviation of the noise that sampling starts from.
+        average: samples whose mean is shown; the mean of several is nearer to the truth than any.
 
     Raises:
         GeoEvsError: a number is out of range.
@@ -41,10 +42,13 @@ class Sampling:
     steps: int = 25
     guidance: float = 2.0
     sigma_max: float = 700.0
+    average: int = 1
 
     def __post_init__(self) -> None:
         if self.steps < 1:
             raise GeoEvsError(f"sampling has {self.steps} steps; choose 1 or more")
+        if self.average < 1:
+            raise GeoEvsError(f"sampling averages {self.average} samples; choose 1 or more")
         if self.sigma_max <= SIGMA_MIN:
             raise GeoEvsError(
                 f"sampling starts from noise of {self.sigma_max}; choose more than {SIGMA_MIN}"
@@ -64,6 +68,11 @@ class ClipGenerator:
     autoencoder: Autoencoder
     denoiser: ClipDenoiser
 
+    @property
+    def middle(self) -> int:
+        """Which view of a clip is shown: it has neighbours on both sides."""
+        return self.denoiser.frames // 2
+
     @torch.inference_mode()
     def generate(
         self,
@@ -72,7 +81,7 @@ class ClipGenerator:
         sampling: Sampling,
         random: torch.Generator,
     ) -> np.ndarray:
-        """Sample clips; (B * frames, H, W, 3) float32 in [0, 1].
+        """Sample clips; (B, H, W, 3) float32 in [0, 1], the middle view of each.
 
         Args:
             images: pseudo-images of any size.
@@ -86,12 +95,14 @@ class ClipGenerator:
         with mixed_precision(device):
             filled = filled_latents(self.autoencoder, shown, mask)
             condition = filled + self.denoiser.encoder(shown, mask).float()
+            condition = condition.repeat(sampling.average, 1, 1, 1)
             noise = torch.randn(condition.shape, generator=random).to(device)
             nothing = torch.zeros_like(condition[:1, :, :1, :1])
             predict = guided(self.denoiser, condition, nothing, sampling.guidance)
             latents = sample(predict, noise, sampling)
-            decoded = self.autoencoder.decode(latents)
-        return to_arrays(decoded[..., :height, :width])
+            decoded = self.autoencoder.decode(latents[self.middle :: self.denoiser.frames])
+        views = decoded.float().unflatten(0, (sampling.average, -1)).mean(0)
+        return to_arrays(views[..., :height, :width])
 
     def save(self, folder: Path) -> None:
         """Write both networks into an existing folder."""

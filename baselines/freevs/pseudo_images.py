@@ -42,10 +42,10 @@ class Sweeps:
     def read(cls, views: Views) -> Self:
         """The points of all frames that may condition a method (see `Views.lidar`)."""
         tracks = views.tracks
-        moving = Box.rows(tracks[tracks["moving"].astype(bool)])
+        moving = tracks[tracks["moving"].astype(bool) & tracks["frame"].isin(views.frames)]
         boxes: dict[int, list[Box]] = {frame: [] for frame in views.frames}
-        for box in moving:
-            boxes.get(box.frame, []).append(box)
+        for box in Box.rows(moving):
+            boxes[box.frame].append(box)
         background, objects = {}, {}
         for frame in views.frames:
             cloud = views.lidar(frame)

@@ -139,19 +139,21 @@ class FreeVSTask:
 
     @torch.inference_mode()
     def preview(self, model: nn.Module) -> np.ndarray:
-        """Clips' first views: pseudo-image, sample, the same with other frames' points, target."""
+        """Clips' middle views: pseudo-image, sample, the same by other frames' points, target."""
         frames = self._settings.frames
         picked = self._starts[np.linspace(0, len(self._starts) - 1, 6).astype(int)]
         views = (picked[:, None] + np.arange(frames)).ravel()
-        columns = []
         generator = ClipGenerator(self._autoencoder, model)
+        middle = views[generator.middle :: frames]
+        columns = []
         for shown in (0, len(SHIFTS) - 1):
             images = self._clips.rgb[views, shown].astype(np.float32) / 255
             random = torch.Generator().manual_seed(0)
             valid = self._clips.valid[views, shown]
-            columns += [images, generator.generate(images, valid, self._sampling, random)]
-        columns.append(self._clips.target[views].astype(np.float32) / 255)
-        return np.concatenate([np.concatenate(list(c[::frames])) for c in columns], axis=1)
+            samples = generator.generate(images, valid, self._sampling, random)
+            columns += [images[generator.middle :: frames], samples]
+        columns.append(self._clips.target[middle].astype(np.float32) / 255)
+        return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
 
 
 @torch.no_grad()

@@ -64,7 +64,7 @@ def test_the_seed_and_the_options_decide_the_samples(fitted):
     first, again, other = (fitted(seed=seed).render(VIRTUAL, 1).rgb for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.01
-    for option in ({"steps": 3}, {"guidance": 2.0}, {"sigma_max": 5.0}):
+    for option in ({"steps": 3}, {"guidance": 2.0}, {"sigma_max": 5.0}, {"average": 2}):
         assert np.abs(first - fitted(**option).render(VIRTUAL, 1).rgb).max() > 0.001
     with pytest.raises(GeoEvsError, match=r"^sampling has 0 steps; choose 1 or more$"):
         fitted(steps=0)

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import diffusers
+import numpy as np
 import pytest
 import torch
 
@@ -63,6 +64,7 @@ def test_noise_falls_to_zero():
     ("wrong", "sentence"),
     [
         ({"steps": 0}, "sampling has 0 steps; choose 1 or more"),
+        ({"average": 0}, "sampling averages 0 samples; choose 1 or more"),
         ({"sigma_max": 0.001}, "sampling starts from noise of 0.001; choose more than 0.002"),
     ],
 )
@@ -121,3 +123,19 @@ def test_saved_networks_are_the_same(generator, tmp_path):
     state, again = made.denoiser.state_dict(), loaded.denoiser.state_dict()
     assert state.keys() == again.keys()
     assert all(torch.equal(state[name], again[name].cpu()) for name in state)
+
+
+def test_the_middle_of_each_clip_is_shown(generator):
+    made = generator(FRAMES)
+    images = torch.rand(6, 16, 24, 3, generator=torch.Generator().manual_seed(0)).numpy()
+    valid = images[..., 0] > 0.5
+
+    def run(images, valid):
+        random = torch.Generator().manual_seed(0)
+        return made.generate(images * valid[..., None], valid, Sampling(1, 1.0, 20.0), random)
+
+    both = run(images, valid)
+    assert both.shape == (2, 16, 24, 3)
+    again = run(images[:3], valid[:3])
+    np.testing.assert_allclose(again[0], both[0], atol=0.02)  # bfloat16
+    assert np.abs(both[0] - both[1]).max() > 0.05

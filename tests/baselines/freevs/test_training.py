@@ -124,6 +124,18 @@ def test_conditions_are_dropped_with_their_probability(make, drop, share):
     assert (seen[0] == 0).all(dim=(1, 2, 3)).float().mean() == share
 
 
+def test_previews_show_points_samples_and_targets(make, clips):
+    task = make()
+    picture = task.preview(task.model)
+    assert picture.shape == (6 * HEIGHT, 5 * WIDTH, 3)
+    # Of clips of two frames, the second is in the middle.
+    shown = task._starts[np.linspace(0, len(task._starts) - 1, 6).astype(int)] + 1
+    for column, wanted in ((0, clips.rgb[shown, 0]), (4, clips.target[shown])):
+        found = picture[:, column * WIDTH : (column + 1) * WIDTH]
+        np.testing.assert_allclose(found, wanted.reshape(-1, WIDTH, 3) / 255, atol=1e-6)
+    np.testing.assert_array_equal(picture, task.preview(task.model))
+
+
 def test_settings_data_and_seed_tell_trainings_apart(make, clips):
     darker = dataclasses.replace(clips, target=clips.target // 2)
     emptier = dataclasses.replace(clips, valid=clips.valid & (np.arange(WIDTH) > 3))
