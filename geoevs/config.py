@@ -4,6 +4,7 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,17 @@ from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.plugins import check_options
 from geoevs.protocol.entries import ORACLES, MethodEntry
+from geoevs.protocol.stressors import MOTION_OPTION
 from geoevs.scenes.scene import SceneRef, source_class
 
 SUITE_MODEL = "vggt-nano"
 """The depth model whose pretrained weights come with this suite."""
+
+FREEVS = "freevs"
+"""The method whose training has a section of its own, and the name of that training."""
+
+TRAINING_PARTITIONS = {"train", "clips"}
+"""What a frame may serve both of."""
 
 Key = tuple[str | int, ...]
 
@@ -46,6 +54,7 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     _check_masks(config, files)
     _check_geometry(config, files)
     _check_methods(config, files)
+    _check_stability(config, files)
     for name in ("pose_bins", "support_bins"):
         edges = config["tables"][name]
         if any(low >= high for low, high in itertools.pairwise(edges)):
@@ -85,6 +94,17 @@ def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
         if settings is not None
         for seed in settings.get("seeds", [0])
     ]
+
+
+def stability_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
+    """The entrants of the stability suite: the first seed of each, with the suite's options."""
+    wanted = config["stability"]["methods"]
+    entries: dict[str, MethodEntry] = {}
+    for entry in method_entries(config):
+        changed = wanted.get(entry.name)
+        if changed is not None and entry.name not in entries:
+            entries[entry.name] = replace(entry, options=entry.options | changed)
+    return list(entries.values())
 
 
 def expand_scenes(scenes: Iterable[str]) -> list[str]:
@@ -222,7 +242,7 @@ def _placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
 
 def _check_partitions(dataset: str, placed: Placed) -> None:
     for (first, text, ref), (second, other_text, other) in itertools.combinations(placed, 2):
-        if ref.overlaps(other):
+        if ref.overlaps(other) and {first, second} != TRAINING_PARTITIONS:
             raise GeoEvsError(
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and "
                 f"'{other_text}' in '{second}'; a frame may serve one partition only, so remove one"
@@ -237,7 +257,9 @@ def _check_shared(dataset: str, placed: Placed, other: str, other_placed: Placed
     for (first, text, ref), (second, other_text, other_ref) in itertools.product(
         placed, other_placed
     ):
-        if first != second and ref.overlaps(other_ref):
+        if first == second or {first, second} == TRAINING_PARTITIONS:
+            continue
+        if ref.overlaps(other_ref):
             raise GeoEvsError(
                 f"data set '{dataset}' has scene '{text}' in partition '{first}' and data set "
                 f"'{other}', of the same source, has '{other_text}' in '{second}'; a frame may "
@@ -286,8 +308,11 @@ def _check_masks(config: Mapping[str, Any], files: Sequence[Path]) -> None:
 def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     methods = [*ORACLES, *find_methods()]
     labels = set()
+    if FREEVS in config["training"]["variants"]:
+        where = _locate(("training", "variants", FREEVS), files)
+        raise GeoEvsError(f"{where}: '{FREEVS}' is FreeVS's own training; rename the variant")
     for entry in method_entries(config):
-        name = entry.method if entry.variant == "default" else f"{entry.method}.{entry.variant}"
+        name = entry.name
         with _located(("methods", name), files):
             if entry.method not in methods:
                 raise GeoEvsError(
@@ -296,12 +321,51 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
             if entry.method in ORACLES and entry.options:
                 raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
             _check_training(config, entry, name)
-            given = entry.options | ({"weights": ""} if entry.training else {})
-            if given:
-                check_options(f"method '{name}'", _imported(entry.method), given)
+            _check_method_options(entry)
             if entry.label in labels:
                 raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
             labels.add(entry.label)
+
+
+def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    """Its data sets have target lists of their own; its methods are among the run's."""
+    stability = config["stability"]
+    with _located(("stability", "datasets"), files):
+        for name in stability["datasets"]:
+            if name not in config["datasets"]:
+                hint = did_you_mean(name, config["datasets"])
+                raise GeoEvsError(f"there is no data set '{name}' under 'datasets'; {hint}")
+            if name in config["evaluate"]:
+                raise GeoEvsError(
+                    f"data set '{name}' is under 'evaluate' too, at other targets; name another "
+                    "one of the same source"
+                )
+    for name in stability["datasets"]:
+        dataset = config["datasets"][name]
+        for level in stability["levels"]["motion"]:
+            with _located(("stability", "levels", "motion"), files):
+                options = dataset["options"] | {MOTION_OPTION: level}
+                source = source_class(dataset["source"])
+                check_options(f"data source '{dataset['source']}'", source, options, 2)
+    for name in stability["methods"]:
+        with _located(("stability", "methods", name), files):
+            if name not in config["methods"]:
+                hint = did_you_mean(name, config["methods"])
+                raise GeoEvsError(f"there is no '{name}' under 'methods'; {hint}")
+    for entry in stability_entries(config):
+        with _located(("stability", "methods", entry.name), files):
+            if entry.method in ORACLES:
+                raise GeoEvsError(
+                    f"the control '{entry.method}' is given nothing that could be stressed; "
+                    "remove it"
+                )
+            _check_method_options(entry)
+
+
+def _check_method_options(entry: MethodEntry) -> None:
+    given = entry.options | ({"weights": ""} if entry.training else {})
+    if given:
+        check_options(f"method '{entry.name}'", _imported(entry.method), given)
 
 
 def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any]:
@@ -312,27 +376,29 @@ def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any
 
 
 def _check_training(config: Mapping[str, Any], entry: MethodEntry, name: str) -> None:
-    """Methods that are trained name a training, others none; it needs scenes."""
-    variants = config["training"]["variants"]
+    """Methods that are trained name a training of theirs, others none; it needs scenes."""
+    if entry.method == FREEVS:
+        trainings, where, partition = [FREEVS], FREEVS, "clips"
+    else:
+        trainings, where = list(config["training"]["variants"]), "training.variants"
+        partition = "train"
     trained = entry.method not in ORACLES and "training" in _needs(entry)
     if trained and not entry.training:
         raise GeoEvsError(
             f"method '{name}' is trained before it is fitted; name one under 'training' "
-            f"({', '.join(variants)})"
+            f"({', '.join(trainings)})"
         )
     if entry.training and not trained:
         raise GeoEvsError(f"method '{name}' is not trained; remove 'training'")
-    if trained and entry.training not in variants:
+    if trained and entry.training not in trainings:
         raise GeoEvsError(
-            f"there is no training '{entry.training}' under 'training.variants'; "
-            f"{did_you_mean(entry.training, variants)}"
+            f"there is no training '{entry.training}' under '{where}'; "
+            f"{did_you_mean(entry.training, trainings)}"
         )
-    if trained and not any(
-        dataset["partitions"].get("train") for dataset in config["datasets"].values()
-    ):
+    if trained and not partition_scenes(config, partition, config["datasets"]):
         raise GeoEvsError(
-            f"method '{name}' is trained, but no data set has scenes under partitions.train; name "
-            "some, or set the method to null"
+            f"method '{name}' is trained, but no data set has scenes under partitions.{partition}; "
+            "name some, or set the method to null"
         )
 
 

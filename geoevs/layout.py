@@ -6,6 +6,7 @@ TRAINING = "training/{network}"
 FINETUNED = "geometry/vggt.safetensors"
 POINT_MAPS = "point-maps/{dataset}/{scene}.npz"
 PAIRS = "pairs/{dataset}/{scene}.npz"
+CLIPS = "clips/{dataset}/{scene}.npz"
 ARTIFACT_MASKS = "artifact-masks/{dataset}/{scene}.npz"
 MASK_LIBRARY = "artifact-masks/library.npz"
 MASK_FIGURE = "figures/artifact-masks.png"
@@ -30,11 +31,21 @@ FIGURE = "figures/{table}.png"
 ABLATION_TABLE = "tables/ablation"
 COST_TABLE = "tables/costs"
 GEOMETRY_TABLE = "tables/geometry"
+COMPLEXITY_TABLE = "tables/complexity"
+RANK_TABLE = "tables/rank_agreement"
 PRETRAINED = "pretrain/{weights}.safetensors"
 CHART = "charts/{table}"
 REPORT = "report.html"
+STRESSED = "stability/scenes/{dataset}/{scene}/{stressor}/{level}.seed{draw}"
+STABILITY_RENDERS = "stability/renders/{dataset}/{scene}/{group}/{label}"
+STABILITY_PART = "stability/parts/{dataset}/{scene}/{group}/{label}.parquet"
+STABILITY_SCORES = "stability/scores.parquet"
+STABILITY_TABLE = "stability/stability.csv"
+BREAKING_POINTS = "stability/breaking_points"
+SEED_SPREAD = "stability/seed_spread.csv"
+STABILITY_CHART = "stability/{stressor}"
 
-RESULT_FOLDERS = {"tables", "figures", "charts"}
+RESULT_FOLDERS = {"tables", "figures", "charts", "stability"}
 DATA_FOLDERS = {
     pattern.split("/")[0]
     for name, pattern in list(vars().items())

@@ -34,22 +34,22 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[..., None]]:
 
 
 @contextmanager
-def training_bar(title: str, steps: int) -> Iterator[Callable[[float], None]]:
-    """A bar whose block gets a function to call with every step's loss.
+def training_bar(title: str, steps: int) -> Iterator[Callable[..., None]]:
+    """A bar whose block gets a function to call with every step's loss, and more to show if any.
 
     Where there is no terminal, one line says after a few steps how long the rest will take.
     """
     start, done, left = time.monotonic(), 0, steps
     with progress_bar(title, steps) as advance:
 
-        def report(loss: float) -> None:
+        def report(loss: float, more: str = "") -> None:
             nonlocal start, done, left
             left -= 1
             if math.isnan(loss):  # a step of an earlier, killed training
                 start = time.monotonic()
             else:
                 done += 1
-            advance(f"{title}, loss {loss:.4f}")
+            advance(f"{title}, loss {loss:.4f}{more}")
             if done == ESTIMATED_AFTER and not sys.stderr.isatty():
                 minutes = (time.monotonic() - start) / done * left / 60
                 print(f"{title}: {steps} steps, about {minutes:.1f} minutes left", file=sys.stderr)

@@ -11,6 +11,7 @@ from geoevs.config import (
     expand_scenes,
     method_entries,
     partition_scenes,
+    stability_entries,
 )
 from geoevs.errors import GeoEvsError
 
@@ -56,9 +57,20 @@ conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
 training:
   {prior: nano, prediction: null, schedule: null, steps: 4, batch: 2, learning_rate: 0.001,
-   drop: 0.1, encoder: trained, validity: true, weighting: uniform, masks: reprojected,
-   probability: 0.4, timesteps: uniform, sampling: {steps: 5},
+   drop: 0.1, encoder: trained, validity: true, filled: true, weighting: uniform,
+   masks: reprojected, probability: 0.4, timesteps: uniform, sampling: {steps: 5},
    variants: {v1: {probability: 0}, v3: {}}}
+freevs:
+  {prior: nano, frames: 3, steps: 4, batch: 2, learning_rate: 0.001, drop: 0.1, simulated: 0.5,
+   noise: {mean: 0.7, std: 1.6}, sampling: {steps: 5}}
+stability:
+  datasets: []
+  seeds: 2
+  lateral: [0.5]
+  levels:
+    {support: [0.02], beams: [], rotation: [], translation: [], cameras: [], exposure: [],
+     motion: [], lateral: [], yaw: [], edges: []}
+  methods: {reproject-inpaint.best: {inpaint: push-pull}}
 """
 
 
@@ -90,6 +102,39 @@ def merged(*texts: str) -> dict:
     for text in texts:
         update(result, yaml.safe_load(text) or {})
     return result
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("datasets: []", "datasets: [reel]", "no data set 'reel' .*did you mean 'real'"),
+        ("datasets: []", "datasets: [real]", "'real' is under 'evaluate' too"),
+        ("support: [0.02]", "suport: [0.02]", "'suport' is not a known key"),
+        ("support: [0.02]", "support: [-1]", "-1 is less than the minimum"),
+        ("best: {inpaint: push-pull}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
+        ("{inpaint: push-pull}", "{paint: no}", "'paint'"),
+        ("best: {inpaint: push-pull}", "best: {}, reference: {}", "nothing that could be stressed"),
+    ],
+)
+def test_a_mistake_in_stability_is_one_sentence(check, old, new, sentence):
+    with pytest.raises(GeoEvsError, match=sentence):
+        check(old, new)
+
+
+def test_stability_takes_the_first_seed_and_its_own_options():
+    (entry,) = stability_entries(yaml.safe_load(VALID))
+    assert (entry.label, entry.seed) == ("reproject-inpaint.best.seed3", 3)
+    assert entry.options == {"inpaint": "push-pull"}
+
+
+def test_only_worlds_that_a_source_can_make_are_asked_for():
+    config = yaml.safe_load(VALID)
+    config["datasets"]["stressed"] = config["datasets"]["real"] | {"partitions": {}}
+    config["stability"]["datasets"] = ["stressed"]
+    check_config(config, SCHEMA, [])
+    config["stability"]["levels"]["motion"] = [5]
+    with pytest.raises(GeoEvsError, match="'pandaset' has no option 'traffic_speed'"):
+        check_config(config, SCHEMA, [])
 
 
 def test_a_valid_config_passes(check):

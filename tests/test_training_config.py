@@ -59,6 +59,18 @@ MISTAKES = {
         "methods: {geo-evs: {options: {stepps: 3}}}",
         "over.yaml:1: method 'geo-evs' has no option 'stepps'; did you mean 'steps'?",
     ),
+    "another method's training": (
+        "methods: {freevs: {training: v3}}",
+        "over.yaml:1: there is no training 'v3' under 'freevs'; one of: freevs",
+    ),
+    "a variant with the name of a training of its own": (
+        "training:\n  variants: {freevs: {}}",
+        "over.yaml:2: 'freevs' is FreeVS's own training; rename the variant",
+    ),
+    "no frames in a clip": (
+        "freevs: {frames: 0}",
+        "over.yaml:1: 'freevs.frames' is wrong: 0 is less",
+    ),
     "an unknown key": (
         "training:\n  learning_rat: 1",
         "over.yaml:2: 'learning_rat' is not a known key; did you mean 'learning_rate'?",
@@ -106,6 +118,23 @@ def test_a_trained_method_needs_training_scenes(check):
     check(yaml.safe_dump({"datasets": none, "methods": untrained}))
 
 
+def test_freevs_needs_clips(check):
+    nothing = "datasets: {street-clips: {partitions: {clips: []}}}"
+    with pytest.raises(
+        GeoEvsError, match=r"method 'freevs' is trained, but no .* partitions.clips"
+    ):
+        check(nothing)
+    check(f"{nothing}\nmethods: {{freevs: null}}")
+
+
+def test_a_frame_may_train_both_in_pairs_and_in_clips(check):
+    both = "datasets: {street-clips: {partitions: {clips: [straight-501], train: [straight-501]}}}"
+    check(both)
+    tested = both.replace("train:", "test:")
+    with pytest.raises(GeoEvsError, match=r"a frame may serve one partition only, so remove one$"):
+        check(tested)
+
+
 def test_a_variant_is_what_differs_from_the_section(check):
     config = check(
         "training:\n"
@@ -141,3 +170,7 @@ def test_the_papers_scale_is_the_papers(check):
     assert (settings["masks"], settings["probability"]) == ("reprojected", 0.4)
     assert settings["validity"] is False
     assert (sampling["steps"], sampling["guidance"]) == (30, 1.5)
+    freevs = config["freevs"]
+    assert (freevs["learning_rate"], freevs["drop"], freevs["simulated"]) == (5e-5, 0.2, 0.5)
+    assert freevs["noise"] == {"mean": 0.7, "std": 1.6}
+    assert freevs["sampling"] == {"steps": 25, "guidance": 2.0, "sigma_max": 700.0}

@@ -12,6 +12,7 @@ from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
 from geoevs.io import to_uint8
 from geoevs.projection import visible
+from geoevs.scenes.boxes import Box
 from geoevs.scenes.camera import Camera
 
 QUANTILE = 0.02  # of LiDAR coordinates that the box leaves out at either end, as published
@@ -183,15 +184,6 @@ def find_motion(views: Views, clouds: dict[int, np.ndarray]) -> tuple[bool, str]
     if not len(tracks):
         return True, "no tracks: a dynamic field in case something moves"
     boxes = tracks[tracks["moving"] & tracks["frame"].isin(views.frames)]
-    if any(_holds(clouds[box.frame], box) for box in boxes.itertuples()):
+    if any(box.holds(clouds[box.frame]).any() for box in Box.rows(boxes)):
         return True, ""
     return False, "static scene: no dynamic field"
-
-
-def _holds(points: np.ndarray, box) -> bool:
-    """Whether a track's row is a box around any of the points (N, 3)."""
-    local = points - np.array([box.x, box.y, box.z])
-    cos, sin = np.cos(np.radians(box.yaw)), np.sin(np.radians(box.yaw))
-    along, aside = local[:, 0] * cos + local[:, 1] * sin, local[:, 1] * cos - local[:, 0] * sin
-    inside = (abs(along) <= box.length / 2) & (abs(aside) <= box.width / 2)
-    return bool((inside & (abs(local[:, 2]) <= box.height / 2)).any())

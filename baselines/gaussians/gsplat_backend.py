@@ -1,5 +1,6 @@
 """The rasterizer for tensors on CUDA: gsplat's kernels behind our interface."""
 
+import importlib.util
 import math
 
 import torch
@@ -8,6 +9,11 @@ from torch import Tensor
 from baselines.gaussians.interface import Footprints, Rasterization
 from geoevs.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
+
+
+def usable_device() -> str:
+    """The GPU, if there is one and gsplat to draw on it."""
+    return "cuda" if torch.cuda.is_available() and importlib.util.find_spec("gsplat") else "cpu"
 
 
 def rasterize_gsplat(

@@ -24,8 +24,8 @@ RANDOM_DEPTHS = (2.0, 100.0)
 """Metres: from the bonnet to where a street's facades end."""
 
 EXTENT_MARGIN = 1.1
-LEAST_EXTENT = 1.0
-"""Metres: Gaussians must be able to move also where the cameras do not."""
+LEAST_EXTENT = 20.0
+"""Metres, as Street Gaussians has it: after a short drive, far Gaussians could hardly move."""
 
 
 @dataclass(frozen=True)

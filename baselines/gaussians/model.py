@@ -60,6 +60,10 @@ class Gaussians:
         """(N, K, 3) coefficients of the spherical harmonics."""
         return torch.cat([self.sh0, self.sh_rest], dim=1)
 
+    def to(self, device: str) -> "Gaussians":
+        """A copy elsewhere, without gradients."""
+        return Gaussians(**{name: t.detach().to(device) for name, t in self.named_parameters()})
+
     def select(self, rows: Tensor) -> "Gaussians":  # [M] int64 or [N] bool
         """A copy of some rows, without gradients."""
         return Gaussians(

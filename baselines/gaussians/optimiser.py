@@ -49,19 +49,22 @@ class Optimiser:
         """The learning rate of the means at a step, counted from 0: metres."""
         return LEARNING_RATES["means"] * self.extent * MEANS_DECAY ** (step / self.steps)
 
-    def step(self, step: int) -> None:
-        """Follow the gradients of `backward`, and clear them.
+    def check(self, step: int, whose: str = "") -> None:
+        """Check the gradients of `backward`; `whose` Gaussians they are is for the error.
 
         Raises:
-            GeoEvsError: a gradient is not finite; the Gaussians are still those before this step.
+            GeoEvsError: a gradient is not finite.
         """
         for name, tensor in self.gaussians.named_parameters():
             # A sum is finite only if all its terms are, and takes a fifteenth of testing each.
             if tensor.grad is not None and not tensor.grad.sum().isfinite():
                 raise GeoEvsError(
-                    f"the gradient of {name} is not finite at step {step}; the last good Gaussians "
-                    "are kept, so lower the learning rates or look for broken views"
+                    f"the gradient of {name}{whose} is not finite at step {step}; the last good "
+                    "Gaussians are kept, so lower the learning rates or look for broken views"
                 )
+
+    def step(self, step: int) -> None:
+        """Follow the gradients of `backward`, which `check` has found finite, and clear them."""
         self._adam.param_groups[0]["lr"] = self.means_rate(step)
         self._adam.step()
         self._adam.zero_grad()

@@ -1,10 +1,14 @@
-"""Arguments that are JSON, and those that name scenes."""
+"""Arguments that are JSON, those that name scenes, and tables of rows."""
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from geoevs.errors import GeoEvsError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}
 
@@ -39,3 +43,13 @@ def scene_pairs(scenes: Sequence[str]) -> list[tuple[str, str]]:
             raise GeoEvsError(f"--scenes {scene} is not of the form DATASET/SCENE; name both")
         pairs.append((dataset, name))
     return pairs
+
+
+def read_rows(path: Path) -> "pd.DataFrame":
+    """The rows of a Parquet file, or a sentence that names it."""
+    import pandas as pd
+
+    from geoevs.io import whole_file
+
+    with whole_file(path):
+        return pd.read_parquet(path)

@@ -1,6 +1,8 @@
 """Training the generator as commands: its pretraining, and Geo-EVS itself."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +47,6 @@ def train(
     """
     from geoevs.conditions.masks import read_masks
     from geoevs.conditions.pairs import read_pairs
-    from geoevs.generator.generator import FAILURE_FILE
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
     from geoevs.plugins import check_options
@@ -57,22 +58,32 @@ def train(
     if geometry_weights is not None and not geometry_weights.is_file():
         raise GeoEvsError(f"{geometry_weights} is missing; make or copy it there")
     data = read_pairs(pairs)
-    try:
+    with failure_written(out):
         with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
             generator = train_geo_evs(
                 wanted, data, read_masks(library), weights, seed, work, report
             )
+        with new_folder(out) as partial:
+            generator.save(partial)
+            if geometry_weights is not None:
+                link_file(geometry_weights, partial / "geometry.safetensors")
+            made_with = {"geometry": geometry, "sampling": wanted.sampling}
+            write_json(partial / "settings.json", made_with)
+        finish(work)
+
+
+@contextmanager
+def failure_written(out: Path) -> Iterator[None]:
+    """Where the block's training fails, leave the reason in place of its networks."""
+    from geoevs.generator.trained import FAILURE_FILE
+    from geoevs.io import new_folder, write_json
+
+    try:
+        yield
     except GeoEvsError as error:
         print(f"error: {error}", file=sys.stderr)
         with new_folder(out) as partial:
             write_json(partial / FAILURE_FILE, {"reason": str(error)})
-        return
-    with new_folder(out) as partial:
-        generator.save(partial)
-        if geometry_weights is not None:
-            link_file(geometry_weights, partial / "geometry.safetensors")
-        write_json(partial / "settings.json", {"geometry": geometry, "sampling": wanted.sampling})
-    finish(work)
 
 
 def train_autoencoder(

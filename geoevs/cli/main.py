@@ -18,6 +18,18 @@ app = typer.Typer(
     help="Geo-EVS: benchmark extrapolative view synthesis in driving scenes. The whole protocol is "
     "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
 )
+COMMANDS = (
+    *(
+        "stages",
+        "geometry",
+        "conditions",
+        "generator",
+        "freevs",
+        "stability",
+        "outcomes",
+        "adapters",
+    ),
+)
 _log: Path | None = None
 
 
@@ -36,7 +48,7 @@ def options(
 
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
-    for commands in ("stages", "geometry", "conditions", "generator", "outcomes", "adapters"):
+    for commands in COMMANDS:
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
     try:
         app()

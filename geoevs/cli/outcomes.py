@@ -2,15 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json, scene_pairs
+from geoevs.cli.arguments import parse_json, read_rows, scene_pairs
 from geoevs.errors import GeoEvsError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
@@ -19,8 +16,8 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
-        *(collect, table, ablation_table, cost_table, geometry_table),
-        *(grid, chart, report, manifest, install_weights, failures, why),
+        *(collect, table, ablation_table, cost_table, geometry_table, complexity_table),
+        *(rank_agreement, grid, chart, report, manifest, install_weights, failures, why),
     ):
         app.command()(command)
 
@@ -64,8 +61,8 @@ def table(
     from geoevs.results.tables import make_table, table_spec
 
     spec = table_spec(name)
-    distances = None if sets is None else _rows(sets)
-    made = make_table(name, _rows(scores), parse_json("--settings", settings), distances)
+    distances = None if sets is None else read_rows(sets)
+    made = make_table(name, read_rows(scores), parse_json("--settings", settings), distances)
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), to_markdown(spec, made))
     write_text(out.with_suffix(".tex"), to_latex(spec, made))
@@ -80,7 +77,7 @@ def ablation_table(
     from geoevs.io import write_text
     from geoevs.results.ablation import ablation_latex, ablation_markdown, make_ablation_table
 
-    made = make_ablation_table(_rows(scores), parse_json("--settings", settings))
+    made = make_ablation_table(read_rows(scores), parse_json("--settings", settings))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), ablation_markdown(made))
     write_text(out.with_suffix(".tex"), ablation_latex(made))
@@ -94,7 +91,7 @@ def cost_table(
     from geoevs.io import write_text
     from geoevs.results.costs import cost_markdown, make_cost_table
 
-    made = make_cost_table(_rows(costs))
+    made = make_cost_table(read_rows(costs))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), cost_markdown(made))
 
@@ -112,10 +109,38 @@ def geometry_table(
         make_geometry_table,
     )
 
-    made = make_geometry_table(_rows(scores), parse_json("--settings", settings))
+    made = make_geometry_table(read_rows(scores), parse_json("--settings", settings))
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), geometry_markdown(made))
     write_text(out.with_suffix(".tex"), geometry_latex(made))
+
+
+def complexity_table(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.complexity import complexity_markdown, make_complexity_table
+
+    made = make_complexity_table(read_rows(scores), read_rows(costs))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), complexity_markdown(made))
+
+
+def rank_agreement(
+    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
+    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
+) -> None:
+    """Compare the order of methods with the paper's, as CSV and Markdown."""
+    from geoevs.io import write_text
+    from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
+
+    made = make_rank_agreement(read_rows(scores), parse_json("--settings", settings))
+    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
+    write_text(out.with_suffix(".md"), rank_agreement_markdown(made))
 
 
 def grid(
@@ -151,7 +176,7 @@ def chart(
     from geoevs.results.charts import speed_accuracy
 
     parsed = parse_json("--settings", settings)
-    table = speed_accuracy(name, _rows(scores), _rows(costs), parsed)
+    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed)
     page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
     write_bytes(out.with_suffix(".png"), page_png(page))
@@ -207,7 +232,7 @@ def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet
 
     if not costs.exists():  # the run has not come that far
         return
-    rows = _rows(costs)
+    rows = read_rows(costs)
     for row in rows[rows["status"] == FAILED].itertuples():
         print(
             f"FAILED: {row.method} ({row.variant}) could not {row.stage} {row.scene} from "
@@ -230,13 +255,3 @@ def why(
     folder = Path(run) if "/" in run else Path("results") / run
     for line in explain(Cell(table, entrant, metric, bin, dataset), folder):
         print(line)
-
-
-def _rows(path: Path) -> "pd.DataFrame":
-    """The rows of a Parquet file, or a sentence that names it."""
-    import pandas as pd
-
-    from geoevs.io import whole_file
-
-    with whole_file(path):
-        return pd.read_parquet(path)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from geoevs.conditions.bits import pack_masks, unpack_masks
+from geoevs.conditions.parts import join_parts
 from geoevs.errors import GeoEvsError
 from geoevs.geometry.lift import lift_view
 from geoevs.geometry.point_maps import PointMaps
@@ -84,22 +85,7 @@ def read_pairs(paths: Sequence[Path]) -> Pairs:
         raise GeoEvsError(
             "there are no training pairs; name training scenes under partitions.train of a data set"
         )
-    parts = [_read_part(path) for path in paths]
-    size = parts[0]["rgb"].shape[1:3]
-    for path, part in zip(paths, parts, strict=True):
-        found = part["rgb"].shape[1:3]
-        if found != size:
-            raise GeoEvsError(
-                f"the pairs of {path} are {found[0]} x {found[1]} but those of {paths[0]} are "
-                f"{size[0]} x {size[1]}; make them at one resolution"
-            )
-    # Each array of a part goes when it is joined, so that no more than one is held twice.
-    return Pairs(
-        **{
-            field.name: np.concatenate([part.pop(field.name) for part in parts])
-            for field in fields(Pairs)
-        }
-    )
+    return Pairs(**join_parts([_read_part(path) for path in paths], paths, "pairs"))
 
 
 def _read_part(path: Path) -> dict[str, np.ndarray]:

@@ -189,6 +189,24 @@ def to_tensor(
     return torch.from_numpy(np.ascontiguousarray(images.transpose(0, 3, 1, 2))).float() / scale
 
 
+def to_conditions(
+    images: np.ndarray,  # [B, H, W, 3] float32 in [0, 1], zero where invalid
+    valid: np.ndarray,  # [B, H, W] bool
+    autoencoder: Autoencoder,
+) -> tuple[Tensor, Tensor]:
+    """Condition maps of any size as tensors that divide into latents, on the network's device.
+
+    Returns:
+        [B, 3, H', W'] maps and [B, 1, H', W'] bool validity, with pixels without support added
+        below and to the right.
+    """
+    device, factor = autoencoder.shift.device, autoencoder.factor
+    height, width = valid.shape[1:]
+    padding = (0, -width % factor, 0, -height % factor)
+    mask = torch.from_numpy(valid)[:, None]
+    return tuple(functional.pad(part, padding).to(device) for part in (to_tensor(images), mask))
+
+
 def to_arrays(
     images: Tensor,  # [B, 3, H, W]
 ) -> np.ndarray:

@@ -9,7 +9,7 @@ from geoevs.generator.push_pull import push_pull
 
 
 class ConditionEncoder(nn.Module):
-    """A small encoder trained with the denoiser, beside the latent of the filled condition map.
+    """A small encoder trained with the denoiser, beside the condition map's latent.
 
     The frozen autoencoder's own code of a map with black holes loses even what surrounds them; of
     a map whose holes are filled smoothly it is the target's latent already wherever the map is
@@ -20,13 +20,20 @@ class ConditionEncoder(nn.Module):
         channels: of the trained features, which follow the latent's.
         validity: whether the mask beside the condition map is encoded too; without it holes are
             black, as in the paper, and so are some surfaces.
+        filled: whether the latent is that of the map with its holes filled, or left black.
     """
 
-    def __init__(self, autoencoder: Autoencoder, channels: int = 24, validity: bool = True) -> None:
+    def __init__(
+        self,
+        autoencoder: Autoencoder,
+        channels: int = 24,
+        validity: bool = True,
+        filled: bool = True,
+    ) -> None:
         super().__init__()
         self._autoencoder = (autoencoder,)  # in a tuple, so that it is no part of this module
         self.latent_channels = autoencoder.latent_channels
-        self.trained_channels, self.validity = channels, validity
+        self.trained_channels, self.validity, self.filled = channels, validity, filled
         self.channels = self.latent_channels + channels
         values = (3 + validity) * autoencoder.factor**2
         self.layers = nn.Sequential(
@@ -45,7 +52,8 @@ class ConditionEncoder(nn.Module):
         """[B, channels, H / factor, W / factor]: latents, then trained features."""
         (autoencoder,) = self._autoencoder
         with torch.no_grad():
-            latent = autoencoder.encode(push_pull(condition, valid))
+            shown = push_pull(condition, valid) if self.filled else condition
+            latent = autoencoder.encode(shown)
         shown = condition * 2 - 1
         if self.validity:
             mask = valid.to(shown.dtype)

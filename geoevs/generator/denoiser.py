@@ -85,18 +85,23 @@ def conditioned(prior: Denoiser, encoder: nn.Module, prediction: str = "v_predic
     """
     denoiser = Denoiser(prior.unet, encoder, prediction)
     denoiser.prompt = prior.prompt
-    _widen(prior.unet, encoder.channels, zero=not denoiser.residual)
+    widen(prior.unet, encoder.channels, zero=not denoiser.residual)
     if denoiser.residual:
-        with torch.no_grad():
-            latents = prior.unet.config.out_channels
-            weight = prior.unet.conv_in.weight
-            weight[:, latents : 2 * latents] = weight[:, :latents]
-            prior.unet.conv_out.weight.zero_()
-            prior.unet.conv_out.bias.zero_()
+        start_from_latent(prior.unet)
     return denoiser
 
 
-def _widen(unet: UNet2DConditionModel, channels: int, zero: bool) -> None:
+@torch.no_grad()
+def start_from_latent(unet: UNet2DConditionModel) -> None:
+    """Let a widened UNet read the condition's latent as it reads its own, and add nothing yet."""
+    latents = unet.config.out_channels
+    weight = unet.conv_in.weight
+    weight[:, latents : 2 * latents] = weight[:, :latents]
+    unet.conv_out.weight.zero_()
+    unet.conv_out.bias.zero_()
+
+
+def widen(unet: UNet2DConditionModel, channels: int, zero: bool) -> None:
     """Let a UNet's first layer read `channels` more, by weights that are zero or random."""
     old = unet.conv_in
     new = nn.Conv2d(

@@ -6,10 +6,9 @@ from typing import Self
 
 import numpy as np
 import torch
-from torch.nn.functional import pad
 
 from geoevs.errors import GeoEvsError
-from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
+from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_conditions
 from geoevs.generator.denoiser import Denoiser
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion, check_sampler, guided
 from geoevs.generator.prior import (
@@ -23,8 +22,6 @@ from geoevs.network_files import best_device
 from geoevs.training import mixed_precision
 
 DENOISER_FILE = "denoiser.safetensors"
-FAILURE_FILE = "failure.json"
-"""In place of networks: why their training failed."""
 
 
 @dataclass(frozen=True)
@@ -73,17 +70,14 @@ class Generator:
         """Sample images of any size; (B, H, W, 3) float32 in [0, 1].
 
         Args:
-            conditions: condition maps X. Where they do not divide into latents, pixels without
-                support are added below and to the right, and cropped from the result.
+            conditions: condition maps X, of any size.
             valid: their validity.
             sampling: steps, guidance, ...
             random: on the CPU, so that every device starts from the same noise.
         """
         device = next(self.denoiser.parameters()).device
         height, width = valid.shape[1:]
-        padding = (0, -width % self.autoencoder.factor, 0, -height % self.autoencoder.factor)
-        shown = pad(to_tensor(conditions), padding).to(device)
-        mask = pad(torch.from_numpy(valid)[:, None], padding).to(device)
+        shown, mask = to_conditions(conditions, valid, self.autoencoder)
         count = len(conditions) * sampling.average
         with mixed_precision(device):
             features = self.denoiser.features(shown, mask).float()

@@ -81,7 +81,11 @@ def save_denoiser(
     if isinstance(encoder, FrozenEncoder):
         kind = "frozen"
     elif encoder is not None:
-        kind = {"channels": encoder.trained_channels, "validity": encoder.validity}
+        kind = {
+            "channels": encoder.trained_channels,
+            "validity": encoder.validity,
+            "filled": encoder.filled,
+        }
     settings = {
         "unet": _plain(denoiser.unet.config),
         "encoder": kind,

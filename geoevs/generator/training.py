@@ -42,6 +42,7 @@ class TrainingSettings:
         drop: share of conditions replaced by the null condition.
         encoder: E_geo, `trained` or `frozen`.
         validity: whether the trained encoder sees the validity mask beside X.
+        filled: whether it starts from X with its holes filled, or black.
         weighting: per-sample weights w_i, `uniform` (1) or `support`, the condition's support ratio
             over the training pairs' mean.
         masks: kind of artifact injection, and `probability` its p (see `ArtifactInjection`).
@@ -58,6 +59,7 @@ class TrainingSettings:
     drop: float
     encoder: str
     validity: bool
+    filled: bool
     weighting: str
     masks: str
     probability: float
@@ -229,7 +231,9 @@ def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoise
         encoder = (
             FrozenEncoder(prior.autoencoder)
             if settings.encoder == "frozen"
-            else ConditionEncoder(prior.autoencoder, validity=settings.validity)
+            else ConditionEncoder(
+                prior.autoencoder, validity=settings.validity, filled=settings.filled
+            )
         )
         denoiser = conditioned(prior.denoiser, encoder, prior.diffusion.prediction)
     return denoiser.to(next(prior.autoencoder.parameters()).device)

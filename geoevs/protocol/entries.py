@@ -32,14 +32,14 @@ class MethodEntry:
     training: str = ""
 
     @property
+    def name(self) -> str:
+        """Its name in the config: METHOD or METHOD.VARIANT."""
+        return self.method if self.variant == "default" else f"{self.method}.{self.variant}"
+
+    @property
     def label(self) -> str:
-        """Its name in paths and tables: the method, then what differs from the default."""
-        parts = [self.method]
-        if self.variant != "default":
-            parts.append(self.variant)
-        if self.seed != 0:
-            parts.append(f"seed{self.seed}")
-        return ".".join(parts)
+        """Its name in paths and tables: that in the config, then the seed unless it is 0."""
+        return self.name if self.seed == 0 else f"{self.name}.seed{self.seed}"
 
     @classmethod
     def parse(

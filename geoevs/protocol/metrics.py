@@ -345,6 +345,8 @@ METRICS = {
     "psnr_removed": MetricSpec(PSNR, "dense-removed", "dB"),
     "psnr_never": MetricSpec(PSNR, "dense-never", "dB"),
     "psnr_unsupported": MetricSpec(PSNR, "dense-unsupported", "dB"),
+    "psnr_moving": MetricSpec(PSNR, "dense-moving", "dB"),
+    "psnr_still": MetricSpec(PSNR, "dense-still", "dB"),
     "sparse_psnr_removed": MetricSpec(PSNR, "reference-removed", "dB"),
     "ssim": MetricSpec(SSIM, "dense"),
     "mae": MetricSpec(MAE, "dense"),
@@ -355,4 +357,5 @@ METRICS = {
 them that raw reprojection leaves empty (`new`), those whose point also passes the footprint test,
 and the dense truth's pixels, where there is one, `supported` by raw reprojection or not (`new`).
 Masked targets have other ones: pixels that the degraded condition still has (`supported`), that the
-mask took from it (`removed`), that it never had (`never`), and both of these (`unsupported`)."""
+mask took from it (`removed`), that it never had (`never`), and both of these (`unsupported`). The
+stability suite tells pixels inside boxes of moving cars (`moving`) from others (`still`)."""

@@ -137,7 +137,7 @@ def score_method(
         dense = dense_truth(scene, evidence.truth, target)
         described = {
             **common,
-            **_describe(entry, target),
+            **describe(entry, target),
             **{name: outcome[name] for name in ("stage", "reason", "log")},
         }
         main, *thinned = keeps
@@ -147,24 +147,31 @@ def score_method(
             answers = regions(reference, dense, main)
         names = [name for name, spec in METRICS.items() if spec.region in answers]
         plain = {**described, "stressor": "", "level": math.nan}
-        rows += [{**plain, **score} for score in _scores(names, preds, answers)]
+        rows += [{**plain, **score} for score in score_regions(names, preds, answers)]
         if target.split == "extrapolation":
             for keep in thinned:
                 answers = regions(reference, dense, keep)
                 stressed = {**described, "stressor": THINNING, "level": keep}
-                rows += [
-                    {**stressed, **score} for score in _scores(THINNED_METRICS, preds, answers)
-                ]
+                scores = score_regions(THINNED_METRICS, preds, answers)
+                rows += [{**stressed, **score} for score in scores]
     return rows
 
 
-def _scores(
+def score_regions(
     names: Sequence[str], preds: np.ndarray | None, answers: dict[str, Answer]
 ) -> list[dict[str, Any]]:
+    """What metrics say of one picture, or of none: parts of rows.
+
+    Args:
+        names: of METRICS, whose regions `answers` has.
+        preds: (H, W, 3) in [0, 1]; None is a failed render.
+        answers: by region.
+    """
     return [_score(name, preds, answers[METRICS[name].region]) for name in names]
 
 
-def _describe(entry: MethodEntry, target: Target) -> dict[str, Any]:
+def describe(entry: MethodEntry, target: Target) -> dict[str, Any]:
+    """Who rendered what: parts of rows."""
     return {
         "method": entry.method,
         "variant": entry.variant,

@@ -113,8 +113,8 @@ def paired_difference(
     if len(table) == 1 and len(set(scenes)) == len(scenes):
         return PairedDifference(mean, pairs=len(pairs))
     rng = np.random.default_rng(0)
-    seeds = _redraw(np.zeros(len(table)), resamples, rng)
-    frames = _redraw(scenes, resamples, rng)
+    seeds = redraw(np.zeros(len(table)), resamples, rng)
+    frames = redraw(scenes, resamples, rng)
     # Where seeds lack frames, a resample may hold no pair at all: 0 / 0, which does not count.
     with np.errstate(invalid="ignore"):
         means = (seeds @ table * frames).sum(axis=1) / (seeds @ present * frames).sum(axis=1)
@@ -123,7 +123,7 @@ def paired_difference(
     return PairedDifference(mean, float(low), float(high), len(pairs))
 
 
-def _redraw(
+def redraw(
     groups: np.ndarray,  # [N] which group each item belongs to
     resamples: int,
     rng: np.random.Generator,

@@ -32,6 +32,7 @@ SETTINGS = asdict(
         drop=0.1,
         encoder="trained",
         validity=True,
+        filled=True,
         weighting="uniform",
         timesteps="uniform",
         masks="reprojected",

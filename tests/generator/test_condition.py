@@ -60,12 +60,13 @@ def test_features_lie_on_the_latents_grid(make, condition):
     assert make(4).channels == encoder.latent_channels + 24
 
 
-def test_the_latent_of_the_filled_map_comes_first(networks, make, condition):
+@pytest.mark.parametrize("filled", [True, False])
+def test_the_latent_of_the_map_comes_first(networks, make, condition, filled):
     x, valid = condition
-    encoder = make()
+    encoder = make(filled=filled)
     autoencoder = networks.autoencoder()
     latent = encoder(x, valid)[:, : encoder.latent_channels]
-    assert torch.equal(latent, autoencoder.encode(push_pull(x, valid)))
+    assert torch.equal(latent, autoencoder.encode(push_pull(x, valid) if filled else x))
     everywhere = torch.ones_like(valid)
     assert torch.equal(encoder(x, everywhere)[:, : latent.shape[1]], autoencoder.encode(x))
     # The autoencoder is no part of what is trained or stored.

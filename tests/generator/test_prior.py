@@ -58,10 +58,11 @@ def test_a_denoiser_comes_back(networks, tmp_path, kind):
     prior = networks.prior(Diffusion("sample", "linear", 0.001, 0.01))
     denoiser, encoder = prior.denoiser, None
     if kind != "none":
+        blind = {"validity": False, "filled": False} if kind == "blind" else {}
         encoder = (
             FrozenEncoder(prior.autoencoder)
             if kind == "frozen"
-            else ConditionEncoder(prior.autoencoder, channels=7, validity=kind == "trained")
+            else ConditionEncoder(prior.autoencoder, channels=7, **blind)
         )
         denoiser = conditioned(denoiser, encoder, "sample").eval()
     path = tmp_path / "d.safetensors"

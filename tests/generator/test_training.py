@@ -34,6 +34,7 @@ SETTINGS = TrainingSettings(
     drop=0.0,
     encoder="trained",
     validity=True,
+    filled=True,
     weighting="uniform",
     timesteps="uniform",
     masks="none",
@@ -205,7 +206,7 @@ def test_support_weighs_samples_by_hand(make, pairs, monkeypatch):
     [
         {"masks": "reprojected", "probability": 0.5, "weighting": "support"},
         {"encoder": "frozen"},
-        {"validity": False},
+        {"validity": False, "filled": False},
     ],
 )
 def test_a_few_steps_lower_the_loss(make, tmp_path, changed):

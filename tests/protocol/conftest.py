@@ -134,6 +134,11 @@ def stage(tmp_path_factory):
     return Stage(folder, store, targets)
 
 
+@pytest.fixture
+def tiny_source():
+    return TinySource()
+
+
 class TinySource:
     """The tiny scene as a source that knows the truth."""
 

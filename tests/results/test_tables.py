@@ -7,7 +7,7 @@ from geoevs.results.tables import bin_labels, display_name, is_control, make_tab
 
 BINS = {"pose_bins": [0, 5, 10], "support_bins": [0, 0.02, 0.1]}
 SETTINGS = {**BINS, "resamples": 100, "confidence": 0.95}
-PAPER = ["3dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]
+PAPER = ["three-dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_paper_and_measured_stand_side_by_side(table):
     variant = one(made, method="geo-evs", variant="v1")
     assert math.isnan(variant["sparse_psnr_paper"])
     assert variant["sparse_psnr"] == 2.5
-    missing = one(made, method="3dgs")
+    missing = one(made, method="three-dgs")
     assert missing["sparse_psnr_paper"] == 19.84
     assert math.isnan(missing["sparse_psnr"])
     assert missing["note"] == "not run"
@@ -192,6 +192,6 @@ def test_unknown_tables_are_named(table):
 
 
 def test_names_are_the_papers():
-    assert display_name("3dgs", "default") == "3DGS"
+    assert display_name("three-dgs", "default") == "3DGS"
     assert display_name("geo-evs", "v2") == "Geo-EVS (v2)"
     assert display_name("mine", "default") == "mine"

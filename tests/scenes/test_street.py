@@ -397,6 +397,8 @@ def test_frames_that_do_not_exist_are_refused(source):
 
 
 def test_options_out_of_range_are_refused():
+    with pytest.raises(GeoEvsError, match="'traffic_speed' is 99; choose from 0 to 40"):
+        Source(8, 8, traffic_speed=99)
     with pytest.raises(GeoEvsError, match="'frames' is 0"):
         Source(*SIZE, frames=0)
 
@@ -417,6 +419,21 @@ def test_frames_may_lie_farther_apart():
     start = next(near.open(SceneRef("straight-8", 0, 0)).frames).cameras["front"].centre
     reach = [np.linalg.norm(frame.cameras["front"].centre - start) for frame in moved]
     assert reach[1] == pytest.approx(15 * reach[0], rel=1e-6)
+
+
+def test_traffic_takes_the_speed_it_is_given():
+    street = make_street("junction", np.random.default_rng(7))
+    usual, fast, still = (
+        make_actors(street, 10.0, np.random.default_rng(8), speed) for speed in (None, 20.0, 0.0)
+    )
+    driving = [actor.moving and actor.label == "car" for actor in usual]
+    assert sum(driving) > 3
+    for one, other, parked, drives in zip(usual, fast, still, driving, strict=True):
+        assert one.at(0.0) == other.at(0.0)
+        assert np.allclose(one.at(0.0), parked.at(0.0))  # and faces the same way
+        assert abs(other.speed) == (20.0 if drives else abs(one.speed))
+        assert np.sign(other.speed) == np.sign(one.speed)
+        assert parked.speed == (0.0 if drives else one.speed)
 
 
 def test_a_scene_longer_than_its_street_is_refused():

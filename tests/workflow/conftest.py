@@ -15,7 +15,7 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
-    EVERYTHING = ("tables", "breakdowns", "conditions")
+    EVERYTHING = ("tables", "breakdowns", "conditions", "stability")
     SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:

@@ -16,16 +16,20 @@ from geoevs.io import read_image, read_json
 from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
+BASELINES = ["three-dgs", "street-gaussians", "emernerf", "freevs"]
+OF_THE_PAPER = ["geo-evs", *BASELINES]  # of its methods, those that this suite runs
 # Everything but timings, which no two runs share.
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
-    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "trained"),
+    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "clips", "trained"),
+    "stability",
 )
 UNSTABLE = {
     "costs.csv",
     "costs.md",
     "render.json",
     *(f"geometry.{s}" for s in ("csv", "md", "tex")),
+    *(f"complexity.{s}" for s in ("csv", "md")),
 }
 
 
@@ -50,9 +54,15 @@ def test_the_whole_dag_runs(smoke_run):
     ablation = pd.read_csv(results / "tables/ablation.csv").set_index("variant")
     assert list(ablation.index) == ["v1", "default"]
     assert np.isfinite(ablation.loc["v1", "masked_observed_psnr_removed_diff"])
+    sizes = pd.read_csv(results / "tables/complexity.csv")
+    assert sizes["note"].tolist() == ["no fixed size was run"]
     trained = results / "trained/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
     assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
+    assert (results / "trained/freevs.seed0/denoiser.safetensors").exists()
+    agreement = pd.read_csv(results / "tables/rank_agreement.csv")
+    assert agreement["methods"].tolist() == [len(OF_THE_PAPER)] * 4
+    assert agreement["tau"].between(-1, 1).all()
     manifest = read_json(results / "manifest.json")
     assert {Path(name).name for name in manifest["inputs"]} >= {"junction-201", "prior.safetensors"}
     assert manifest["configfiles"][:2] == ["config.yaml", "workflow/scales/smoke.yaml"]
@@ -68,8 +78,8 @@ def test_scores_order_the_controls(smoke_run):
     assert table.set_index("method").loc[CONTROLS, "group"].eq("control").all()
     # Six training steps already beat one colour; of the paper's other methods few have run.
     assert means["geo-evs-support"] > means["mean-colour"]
-    assert means["emernerf"] > means["mean-colour"]
-    others = table[(table["group"] == "paper") & ~table["method"].isin(["geo-evs", "emernerf"])]
+    assert (means[BASELINES] > means["mean-colour"]).all()
+    others = table[(table["group"] == "paper") & ~table["method"].isin(OF_THE_PAPER)]
     assert others["sparse_psnr"].isna().all()
 
 
@@ -96,6 +106,24 @@ def test_masked_views_tell_their_pixels_apart(smoke_run):
     assert sparse["reference"] > 50
     assert sparse["reproject-inpaint"] > sparse["reproject"]
     assert extrapolated["psnr_never"]["reproject-inpaint"] > extrapolated["psnr_never"]["reproject"]
+
+
+def test_stress_lowers_the_curves(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke/stability"
+    table = pd.read_csv(results / "stability.csv")
+    assert set(table["stressor"]) == {"support", "motion", "lateral", "edges"}
+    support = table[(table["stressor"] == "support") & (table["metric"] == "sparse_psnr")]
+    means = support.pivot_table("mean", "level", "method", dropna=False)
+    assert means["reproject"][0.005] < means["reproject"][0.05]
+    assert means["mean-colour"][0.005] == means["mean-colour"][0.05]  # it reads no LiDAR
+    assert set(pd.read_csv(results / "breaking_points.csv")["method"]) == {"geo-evs"}
+    spread = pd.read_csv(results / "seed_spread.csv").set_index(["method", "metric"])["mean"]
+    assert spread["geo-evs", "seed_spread_new"] > spread["reproject", "seed_spread_new"] == 0
+    for stressor in ("support", "motion", "lateral", "edges"):
+        assert read_image(results / f"{stressor}.png").std() > 10
+        assert 'src="http' not in (results / f"{stressor}.html").read_text()
 
 
 def test_a_failing_method_is_a_status_and_the_last_line(smoke_run):
@@ -230,8 +258,9 @@ def test_real_frames_run_too(workspace):
         "resolution: [96, 96]\n"
         'datasets: {pandaset: {partitions: {test: ["002@65-65"]}}}\n'
         "methods: {reproject: null, reference: null, nearest-view: null, geo-evs-support: null,"
-        " emernerf: null}\n"
+        " three-dgs: null, street-gaussians: null, emernerf: null}\n"
         "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
+        "freevs: {steps: 2, sampling: {steps: 1}}\n"
     )
     scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
     run = workspace.snakemake("--configfile", *scale, "--", "tables")
@@ -239,4 +268,4 @@ def test_real_frames_run_too(workspace):
     table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
     means = table.set_index("method")["sparse_psnr"]
     assert means["reproject-inpaint"] > means["mean-colour"] + 3
-    assert np.isfinite(means["geo-evs"])
+    assert np.isfinite(means[["geo-evs", "freevs"]]).all()

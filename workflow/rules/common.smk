@@ -9,14 +9,25 @@ from geoevs import layout
 from geoevs.adapter import find_methods
 from geoevs.code_hash import code_hash
 from geoevs.config import (
+    FREEVS,
     SUITE_MODEL,
     check_config,
     method_entries,
     partition_scenes,
+    stability_entries,
     training_settings,
 )
 from geoevs.errors import GeoEvsError
 from geoevs.protocol.entries import ORACLES
+from geoevs.protocol.stability import (
+    CLEAN,
+    clean_settings,
+    conditions,
+    groups,
+    world_name,
+    world_options,
+)
+from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.manifest import hash_path
 from geoevs.results.tables import TABLES
 from geoevs.scenes.scene import find_sources
@@ -40,7 +51,9 @@ PROTOCOL = json.dumps(config["protocol"])
 ENTRIES = {entry.label: entry for entry in method_entries(config)}
 TEST_SCENES = partition_scenes(config, "test", config["evaluate"])
 TRAINING_SCENES = partition_scenes(config, "train", config["datasets"])
+CLIP_SCENES = partition_scenes(config, "clips", config["datasets"])
 GEOMETRY_SCENES = partition_scenes(config, "geometry", config["datasets"])
+STABILITY_SCENES = partition_scenes(config, "test", config["stability"]["datasets"])
 PRETRAINING_SCENES = partition_scenes(config, "pretrain", config["datasets"])
 
 
@@ -131,9 +144,11 @@ def every_result(pattern):
 def scene_arguments(wildcards):
     """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
     dataset = config["datasets"][wildcards.dataset]
+    name, changed = world_options(wildcards.scene)
+    options = dataset["options"] | changed
     return (
-        f"--source {dataset['source']} --name {wildcards.scene} --height {HEIGHT} "
-        f"--width {WIDTH} --options {shlex.quote(json.dumps(dataset['options']))}"
+        f"--source {dataset['source']} --name {name} --height {HEIGHT} "
+        f"--width {WIDTH} --options {shlex.quote(json.dumps(options))}"
     )
 
 
@@ -171,9 +186,13 @@ def fit_arguments(wildcards):
     """What only a fit is told: the method's options, and the wall time it may take."""
     seconds = config["budget"]["fit_seconds"]
     limit = "" if seconds is None else f"--fit-seconds {seconds}"
+    return f"--options {shlex.quote(method_options(ENTRIES, wildcards))} {limit}"
+
+
+def method_options(entries, wildcards):
+    """An entrant's own options as JSON, and the weights that it was trained to."""
     weights = {"weights": path for path in trained(wildcards)}
-    options = ENTRIES[wildcards.label].options | weights
-    return f"--options {shlex.quote(json.dumps(options))} {limit}"
+    return json.dumps(entries[wildcards.label].options | weights)
 
 
 def trained(wildcards):

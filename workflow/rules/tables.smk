@@ -8,6 +8,10 @@ COST_FILES = [in_run(layout.COST_TABLE) + suffix for suffix in (".csv", ".md")]
 GEOMETRY_FILES = [
     in_run(layout.GEOMETRY_TABLE) + suffix for suffix in (".csv", ".md", ".tex")
 ]
+COMPLEXITY_FILES = [
+    in_run(layout.COMPLEXITY_TABLE) + suffix for suffix in (".csv", ".md")
+]
+RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -74,6 +78,38 @@ rule geometry_table:
         " --out {params.stem:q}"
 
 
+rule complexity_table:
+    input:
+        scores=in_run(layout.SCORES),
+        costs=in_run(layout.COSTS),
+    output:
+        COMPLEXITY_FILES,
+    log:
+        in_run("logs/complexity_table.log"),
+    params:
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.complexity"),
+    shell:
+        "geoevs --log {log:q} complexity-table --scores {input.scores:q} --costs {input.costs:q}"
+        " --out {params.stem:q}"
+
+
+rule rank_agreement:
+    input:
+        scores=in_run(layout.SCORES),
+    output:
+        RANK_FILES,
+    log:
+        in_run("logs/rank_agreement.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.rank_agreement"),
+    shell:
+        "geoevs --log {log:q} rank-agreement --scores {input.scores:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
+
+
 rule figure:
     input:
         every_result(layout.RENDERS),
@@ -111,4 +147,6 @@ rule tables:
         ABLATION_FILES,
         COST_FILES,
         GEOMETRY_FILES,
+        COMPLEXITY_FILES,
+        RANK_FILES,
         in_run(layout.MANIFEST),

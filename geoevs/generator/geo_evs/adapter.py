@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
+from geoevs.generator.trained import link_trained, read_trained
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
-from geoevs.io import link_file, read_json, write_json
+from geoevs.io import read_json, write_json
 from geoevs.projection import Raster
 from geoevs.scenes.camera import Camera
 
@@ -99,12 +99,9 @@ class Method:
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample; the settings of their training."""
-        from geoevs.generator.generator import FAILURE_FILE, Generator, Sampling
+        from geoevs.generator.generator import Generator, Sampling
 
-        failure = Path(self.weights) / FAILURE_FILE
-        if failure.exists():
-            raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
-        settings = read_json(Path(self.weights) / "settings.json")
+        settings = read_trained(Path(self.weights))
         asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         asked = {name: value for name, value in asked.items() if value is not None}
         self._sampling = Sampling(**settings["sampling"] | asked)
@@ -114,9 +111,7 @@ class Method:
     def save(self, folder: Path) -> None:
         """Write the views and depths; link the weights, which many scenes share."""
         self._lifted.save(folder)
-        for path in Path(self.weights).iterdir():
-            if path.is_file():
-                link_file(path, folder / "weights" / path.name)
+        link_trained(Path(self.weights), folder / "weights")
         options = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
         write_json(folder / "options.json", {**options, "seed": self._seed})
 

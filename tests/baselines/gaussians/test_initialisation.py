@@ -111,9 +111,9 @@ def test_a_damaged_cache_is_named(views_of_wall, tmp_path):
 @pytest.mark.parametrize(
     ("centres", "extent"),
     [
-        # Their mean is (2, 2, 1), from which the last is sqrt(4 + 16) away.
-        ([(0, 0, 1), (2, 0, 1), (2, 2, 1), (4, 6, 1)], 1.1 * np.sqrt(20)),
-        ([(0, 0, 1), (0, 0.2, 1)], 1.0),
+        # Their mean is (20, 20, 1), from which the last is sqrt(400 + 1600) away.
+        ([(0, 0, 1), (20, 0, 1), (20, 20, 1), (40, 60, 1)], 1.1 * np.sqrt(2000)),
+        ([(0, 0, 1), (0, 0.2, 1)], 20.0),
     ],
 )
 def test_extent(views_of_wall, centres, extent):

@@ -24,6 +24,7 @@ from geoevs.scenes.sources.street.traffic import make_actors, make_tracks
 KEPT_INSTANTS = 8  # about 40 MB each
 INTERVAL = 0.1  # seconds between frames
 LONGEST = 6.0  # seconds, after which the ego would come near the end of its street
+FASTEST = 40.0  # m/s
 
 
 def keyed_rng(*key: object) -> np.random.Generator:
@@ -33,15 +34,19 @@ def keyed_rng(*key: object) -> np.random.Generator:
 
 
 class World:
-    """One scene: its street, light, actors and vehicle; a pure function of its name."""
+    """One scene: its street, light, actors and vehicle; a pure function of its arguments."""
 
-    def __init__(self, name: str, interval: float = INTERVAL) -> None:
+    def __init__(
+        self, name: str, interval: float = INTERVAL, traffic_speed: float | None = None
+    ) -> None:
         layout = name.partition("-")[0]
         self.name, self.interval = name, interval
         self._street = make_street(layout, keyed_rng(name, "street"))
         self.light = make_light(keyed_rng(name, "light"))
         self.ego = Ego(self._street, keyed_rng(name, "ego").uniform(8, 12))
-        self.actors = make_actors(self._street, self.ego.speed, keyed_rng(name, "actors"))
+        self.actors = make_actors(
+            self._street, self.ego.speed, keyed_rng(name, "actors"), traffic_speed
+        )
         self._stage: Stage | None = None
         self._instants: dict[int, Scenes] = {}
 
@@ -83,6 +88,7 @@ class Source:
         interval: seconds between frames; training needs few frames that differ much.
         lidar_azimuths: measurements of each of the 64 beams in a turn.
         samples: rays a pixel that an image is made of.
+        traffic_speed: of all cars that drive, m/s; None leaves each its own.
 
     Raises:
         GeoEvsError: an option is out of its range.
@@ -99,6 +105,7 @@ class Source:
         interval: float = INTERVAL,
         lidar_azimuths: int = 400,
         samples: int = 25,
+        traffic_speed: float | None = None,
     ) -> None:
         for name, value, most in (
             ("frames", frames, 60),
@@ -114,7 +121,12 @@ class Source:
                 f"street's options make {frames} frames of {interval} s each; streets last "
                 f"{LONGEST:g} s, so lower 'frames' or 'interval'"
             )
+        if traffic_speed is not None and not 0 <= traffic_speed <= FASTEST:
+            raise GeoEvsError(
+                f"street's option 'traffic_speed' is {traffic_speed}; choose from 0 to {FASTEST:g}"
+            )
         self._height, self._width, self._interval = height, width, interval
+        self._traffic_speed = traffic_speed
         self._frames, self._azimuths, self._samples = frames, lidar_azimuths, samples
         self._world: World | None = None
 
@@ -168,7 +180,7 @@ class Source:
                 f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
             )
         if self._world is None or self._world.name != scene.name:
-            self._world = World(scene.name, self._interval)
+            self._world = World(scene.name, self._interval, self._traffic_speed)
         return self._world
 
     def _record(self, world: World, frames: list[int]) -> Iterator[Frame]:

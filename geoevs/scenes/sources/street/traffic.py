@@ -63,11 +63,24 @@ class Actor:
             builder.place(self.looks, *self.at(time))
 
 
-def make_actors(street: Street, ego_speed: float, rng: np.random.Generator) -> list[Actor]:
-    """Everybody of a scene, tracks numbered in order; nobody meets the ego."""
+def make_actors(
+    street: Street,
+    ego_speed: float,
+    rng: np.random.Generator,
+    traffic_speed: float | None = None,
+) -> list[Actor]:
+    """Everybody of a scene, tracks numbered in order; nobody meets the ego.
+
+    `traffic_speed`, in m/s, replaces the speeds of all cars that drive; nothing else changes. Then
+    cars may meet, though not within the first second or so.
+    """
     actors: list[Actor] = []
 
     def car(path: Path, start: float, offset: float, speed: float, yaw: float = 0.0) -> None:
+        if speed and traffic_speed is not None:
+            if traffic_speed == 0 and speed < 0:
+                yaw = np.pi  # who stands still faces the way it would have gone
+            speed = traffic_speed if speed > 0 else -traffic_speed
         looks, body = make_car(rng)
         size = (body.length + 0.06, body.width + 0.32, body.height + 0.02)
         track = f"car-{len(actors):03d}"

@@ -1,0 +1,147 @@
+"""The trained networks: from pseudo-images of a clip to its views, on disk and off."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import torch
+from diffusers import UNet2DConditionModel
+from torch import Tensor
+
+from baselines.freevs.denoiser import ClipDenoiser
+from baselines.freevs.encoder import PseudoImageEncoder, filled_latents
+from geoevs.errors import GeoEvsError
+from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_conditions
+from geoevs.generator.diffusion import Diffusion, guided
+from geoevs.generator.prior import AUTOENCODER_FILE, load_autoencoder, save_autoencoder
+from geoevs.network_files import best_device, load_weights, read_network, save_network
+from geoevs.training import mixed_precision
+
+DENOISER_FILE = "denoiser.safetensors"
+SIGMA_MIN, RHO = 0.002, 7.0
+"""Where EDM's noise ends before zero, and how its steps are spaced, as Stable Video Diffusion's."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a clip is sampled.
+
+    Args:
+        steps: of denoising.
+        guidance: scale of classifier-free guidance; at 1 nothing is sampled without its condition.
+        sigma_max: standard deviation of the noise that sampling starts from.
+
+    Raises:
+        GeoEvsError: a number is out of range.
+    """
+
+    steps: int = 25
+    guidance: float = 2.0
+    sigma_max: float = 700.0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise GeoEvsError(f"sampling has {self.steps} steps; choose 1 or more")
+        if self.sigma_max <= SIGMA_MIN:
+            raise GeoEvsError(
+                f"sampling starts from noise of {self.sigma_max}; choose more than {SIGMA_MIN}"
+            )
+
+    def sigmas(self) -> list[float]:
+        """The noise before each step, and zero after the last (Karras et al. 2022, equation 5)."""
+        shares = np.linspace(0, 1, self.steps)
+        high, low = self.sigma_max ** (1 / RHO), SIGMA_MIN ** (1 / RHO)
+        return [*((high + shares * (low - high)) ** RHO).tolist(), 0.0]
+
+
+@dataclass(frozen=True)
+class ClipGenerator:
+    """An autoencoder and a denoiser of its latents."""
+
+    autoencoder: Autoencoder
+    denoiser: ClipDenoiser
+
+    @torch.inference_mode()
+    def generate(
+        self,
+        images: np.ndarray,  # [B * frames, H, W, 3] float32 in [0, 1], zero where invalid
+        valid: np.ndarray,  # [B * frames, H, W] bool
+        sampling: Sampling,
+        random: torch.Generator,
+    ) -> np.ndarray:
+        """Sample clips; (B * frames, H, W, 3) float32 in [0, 1].
+
+        Args:
+            images: pseudo-images of any size.
+            valid: which of their pixels hold a point.
+            sampling: steps, guidance, ...
+            random: on the CPU, so that every device starts from the same noise.
+        """
+        device = next(self.denoiser.parameters()).device
+        height, width = valid.shape[1:]
+        shown, mask = to_conditions(images, valid, self.autoencoder)
+        with mixed_precision(device):
+            filled = filled_latents(self.autoencoder, shown, mask)
+            condition = filled + self.denoiser.encoder(shown, mask).float()
+            noise = torch.randn(condition.shape, generator=random).to(device)
+            nothing = torch.zeros_like(condition[:1, :, :1, :1])
+            predict = guided(self.denoiser, condition, nothing, sampling.guidance)
+            latents = sample(predict, noise, sampling)
+            decoded = self.autoencoder.decode(latents)
+        return to_arrays(decoded[..., :height, :width])
+
+    def save(self, folder: Path) -> None:
+        """Write both networks into an existing folder."""
+        denoiser = self.denoiser
+        config = denoiser.unet.config.items()
+        settings = {
+            "unet": {name: value for name, value in config if not name.startswith("_")},
+            "encoder": {name: getattr(denoiser.encoder, name) for name in ("width", "depth")},
+            "prior": asdict(denoiser.prior),
+            "frames": denoiser.frames,
+            "spread": denoiser.spread,
+        }
+        save_autoencoder(folder / AUTOENCODER_FILE, self.autoencoder)
+        save_network(folder / DENOISER_FILE, denoiser, settings)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote, onto the GPU if there is one."""
+        device, path = best_device(), folder / DENOISER_FILE
+        autoencoder = load_autoencoder(folder / AUTOENCODER_FILE)
+        settings, weights = read_network(path)
+        with torch.device("meta"):  # random weights would be made in vain
+            denoiser = ClipDenoiser(
+                UNet2DConditionModel.from_config(settings["unet"]),
+                PseudoImageEncoder(
+                    autoencoder.factor, autoencoder.latent_channels, **settings["encoder"]
+                ),
+                Diffusion(**settings["prior"]),
+                settings["frames"],
+                settings["spread"],
+            )
+        load_weights(denoiser, weights, path, "make it again with `geoevs train-freevs`")
+        return cls(autoencoder.to(device), denoiser.eval().to(device))
+
+
+def sample(
+    predict: Callable[[Tensor, Tensor], Tensor],
+    noise: Tensor,  # [B, L, h, w] standard normal
+    sampling: Sampling,
+) -> Tensor:
+    """[B, L, h, w] a clean latent, by Euler steps along the probability flow (Karras et al. 2022).
+
+    Args:
+        predict: ([B, L, h, w] noisy, [] sigma) to the clean latent.
+        noise: what it starts from.
+        sampling: how.
+    """
+    sigmas = sampling.sigmas()
+    latent = noise * sigmas[0]
+    for sigma, following in pairwise(sigmas):
+        clean = predict(latent, torch.tensor(sigma, device=noise.device))
+        latent = clean + (latent - clean) * (following / sigma)
+    return latent

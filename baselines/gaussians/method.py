@@ -1,0 +1,103 @@
+"""What methods of Gaussians share as adapters: options, the fit's frame, rendering and files."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.errors import GeoEvsError
+from geoevs.io import read_arrays, write_arrays
+from geoevs.progress import training_bar
+from geoevs.scenes.camera import Camera
+
+if TYPE_CHECKING:
+    from baselines.gaussians.nodes import SceneGraph
+    from baselines.gaussians.training import OwnLoss, Photo
+
+# torch is imported where a scene is made: configs are checked without one.
+
+SOLID = 0.5  # opacity from which a pixel has a depth
+FILE = "scene.npz"
+
+
+@dataclass
+class GaussianMethod:
+    """A method that trains the nodes of a scene; see docs/gaussians.md.
+
+    Args:
+        iterations: optimiser steps; a budget of seconds may end the fit earlier.
+        gaussians: how many the background has; None: as few as the scene needs.
+        densification: `mcmc` or `gradient`.
+    """
+
+    info: ClassVar[MethodInfo]
+    iterations: int = 2500
+    gaussians: int | None = None
+    densification: str = "mcmc"
+    _graph: "SceneGraph" = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "gaussians"):
+            value = getattr(self, name)
+            if value is not None and not value >= 1:
+                raise GeoEvsError(f"the option '{name}' is {value}; make it 1 or more")
+
+    def _train(
+        self,
+        views: Views,
+        budget: Budget,
+        rng: Rng,
+        prepare: "Callable[[list[Photo]], tuple[SceneGraph, dict[str, float], OwnLoss, list[str]]]",
+    ) -> FitReport:
+        """Train what `prepare` makes of the photographs: nodes, their extents, a loss, notes."""
+        until = time.monotonic() + (float("inf") if budget.seconds is None else budget.seconds)
+        from baselines.gaussians.gsplat_backend import usable_device
+        from baselines.gaussians.size import HELD_OUT, MOST, SizeChoice
+        from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
+
+        photos = photos_of(views, usable_device())
+        self._graph, extents, own_loss, notes = prepare(photos)
+        choice = None
+        if self.gaussians is None:
+            if len(photos) >= HELD_OUT:
+                choice = SizeChoice(self.iterations)
+            else:
+                notes.append(f"{len(photos)} views are too few to choose a size by")
+        strategy = make_strategy(self.densification, self.gaussians or MOST, self.iterations)
+        trainer = Trainer(self._graph, self.iterations, extents, strategy, own_loss, rng.torch)
+        title = f"{self.info.name} of {views.scene_name}"
+        with training_bar(title, self.iterations) as report:
+            steps = train(trainer, photos, choice, until, rng.torch, report)
+        if steps < self.iterations:
+            notes.append(f"{steps} of {self.iterations} iterations in the budget")
+        return FitReport(len(self._graph), self._graph.parameters(), "; ".join(notes))
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Draw the scene; depth where it is mostly opaque."""
+        import torch
+
+        with torch.inference_mode():
+            picture = self._graph.draw(camera, frame).picture
+        depth = torch.where(picture.opacity > SOLID, picture.depth, 0.0)
+        return Rendering(picture.rgb.clamp(0, 1).cpu().numpy(), depth.cpu().numpy())
+
+    def save(self, folder: Path) -> None:
+        """Write the nodes."""
+        from baselines.gaussians.storage import scene_arrays
+
+        write_arrays(folder / FILE, scene_arrays(self._graph))
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote."""
+        from baselines.gaussians.gsplat_backend import usable_device
+        from baselines.gaussians.storage import scene_from_arrays
+
+        method = cls()
+        arrays: dict[str, np.ndarray] = read_arrays(folder / FILE)
+        method._graph = scene_from_arrays(arrays, usable_device())
+        return method

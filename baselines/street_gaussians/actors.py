@@ -1,0 +1,178 @@
+"""From tracks to actor nodes: boxes, the LiDAR points in them, and where they show in a view."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pandas as pd
+import torch
+
+from baselines.gaussians.constants import NEAR_PLANE
+from baselines.gaussians.model import gaussians_from_points
+from baselines.gaussians.nodes import FOURIER, Actor
+from geoevs.adapter import Views
+from geoevs.errors import GeoEvsError
+from geoevs.projection import project_points
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import PointCloud
+
+PIXELS = 4
+"""Of the largest view of an actor, for each of its Gaussians."""
+
+FEWEST, MOST = 32, 1000
+"""Gaussians of an actor."""
+
+GROUND = 0.1
+"""Metres above a box's bottom, up to which points may be of the road."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """The boxes of one moving thing, frame by frame.
+
+    Args:
+        name: its track.
+        frames: rising.
+        centres: (F, 3) metres.
+        yaws: (F,) radians.
+        size: (3,) length, width and height, the largest of all frames, metres.
+    """
+
+    name: str
+    frames: tuple[int, ...]
+    centres: np.ndarray  # [F, 3]
+    yaws: np.ndarray  # [F]
+    size: np.ndarray  # [3]
+
+    def local(self, xyz: np.ndarray, frame: int) -> np.ndarray:
+        """(N, 3) world positions in the box's axes about its middle."""
+        now = self.frames.index(frame)
+        x, y, z = (xyz - self.centres[now]).T
+        cos, sin = math.cos(self.yaws[now]), math.sin(self.yaws[now])
+        return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
+
+    def holds(self, xyz: np.ndarray, frame: int) -> np.ndarray:
+        """(N,) bool: world positions in the box, above the ground."""
+        local, half = self.local(xyz, frame), self.size / 2
+        return (abs(local) <= half).all(axis=1) & (local[:, 2] > GROUND - half[2])
+
+    def shown(self, camera: Camera, frame: int) -> np.ndarray:
+        """(H, W) bool: the box's outline in a view, filled; nothing where it is absent."""
+        outline = np.zeros((camera.height, camera.width), np.uint8)
+        if frame in self.frames:
+            now = self.frames.index(frame)
+            # Points on an even grid, so that a box partly behind the camera has an outline too.
+            grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
+            x, y, z = (grid * self.size).T
+            cos, sin = math.cos(self.yaws[now]), math.sin(self.yaws[now])
+            turned = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
+            uv, depth = project_points(turned + self.centres[now], camera)
+            ahead = np.nan_to_num(depth, nan=-1.0) > max(NEAR_PLANE, self.size.max() / 100)
+            if np.count_nonzero(ahead) >= 3:
+                far = 4 * max(outline.shape)  # cv2 draws with 32 bits
+                hull = cv2.convexHull(uv[ahead].clip(-far, far).round().astype(np.int32))
+                cv2.fillConvexPoly(outline, hull, 1)
+        return outline.astype(bool)
+
+
+def moving_tracks(views: Views) -> list[Track]:
+    """All that moves, in the frames that there are.
+
+    Raises:
+        GeoEvsError: a box has no size, or one that is not finite.
+    """
+    tracks = views.tracks
+    rows = tracks[tracks["moving"].astype(bool) & tracks["frame"].isin(views.frames)]
+    return [_track(name, group) for name, group in rows.groupby("track", sort=True)]
+
+
+def _track(name: str, rows: pd.DataFrame) -> Track:
+    rows = rows.sort_values("frame").drop_duplicates("frame")
+    sizes = rows[["length", "width", "height"]].to_numpy(np.float64)
+    places = rows[["x", "y", "z", "yaw"]].to_numpy(np.float64)
+    bad = ~((sizes > 0) & np.isfinite(sizes)).all(axis=1) | ~np.isfinite(places).all(axis=1)
+    if bad.any():
+        frame = rows["frame"].to_numpy()[bad][0]
+        raise GeoEvsError(
+            f"the box of track '{name}' in frame {frame} has no size or no place; correct "
+            "it in the scene's tracks, or mark the track as not moving"
+        )
+    frames = tuple(rows["frame"].astype(int).tolist())
+    return Track(str(name), frames, places[:, :3], np.radians(places[:, 3]), sizes.max(axis=0))
+
+
+def outside_all(xyz: np.ndarray, tracks: Iterable[Track]) -> np.ndarray:
+    """(N,) bool: points in no box at any time. What is driven through does not stand there."""
+    outside = np.ones(len(xyz), bool)
+    for track in tracks:
+        for frame in track.frames:
+            outside &= ~track.holds(xyz, frame)
+    return outside
+
+
+def make_actors(
+    tracks: Sequence[Track],
+    views: Views,
+    clouds: dict[int, PointCloud],
+    rng: np.random.Generator,
+    device: torch.device,
+) -> list[Actor]:
+    """An actor for every track that a source view shows.
+
+    It starts from the LiDAR points in its boxes; where those are too few, random ones in the box
+    are added, of the points' mean colour.
+    """
+    actors = []
+    for track in tracks:
+        seers = [views.camera(name, frame) for frame in track.frames for name in views.cameras]
+        moments = [frame for frame in track.frames for _ in views.cameras]
+        largest = max(
+            np.count_nonzero(track.shown(camera, frame))
+            for camera, frame in zip(seers, moments, strict=True)
+        )
+        if largest:
+            count = min(max(largest // PIXELS, FEWEST), MOST)
+            xyz, rgb = _starting_points(track, clouds, count, rng)
+            actors.append(_actor(track, xyz, rgb, device))
+    return actors
+
+
+def _starting_points(
+    track: Track, clouds: dict[int, PointCloud], count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(count, 3) points in the box and their colours."""
+    places, colours = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for frame in track.frames:
+        cloud = clouds[frame]
+        inside = cloud.select(track.holds(cloud.xyz, frame) & (cloud.camera >= 0))
+        places.append(track.local(inside.xyz, frame))
+        colours.append(inside.rgb)
+    xyz, rgb = np.concatenate(places), np.concatenate(colours)
+    keep = np.sort(rng.permutation(len(xyz))[:count])
+    xyz, rgb = xyz[keep], rgb[keep]
+    more = count - len(xyz)
+    mean = rgb.mean(axis=0) if len(rgb) else np.full(3, 0.5)
+    xyz = np.concatenate([xyz, rng.uniform(-0.5, 0.5, (more, 3)) * track.size])
+    return xyz, np.concatenate([rgb, np.tile(mean, (more, 1))])
+
+
+def _actor(track: Track, xyz: np.ndarray, rgb: np.ndarray, device: torch.device) -> Actor:
+    gaussians = gaussians_from_points(xyz, rgb, sh_degree=1)
+    later = gaussians.sh0.new_zeros(len(gaussians), FOURIER - 1, 3)
+    gaussians.sh0 = torch.cat([gaussians.sh0, later], dim=1)
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.tensor(array, dtype=torch.float32, device=device)
+
+    return Actor(
+        f"actor {track.name}",
+        gaussians.to(device),
+        track.frames,
+        size=tensor(track.size),
+        centres=tensor(track.centres),
+        yaws=tensor(track.yaws),
+        shifts=tensor(np.zeros_like(track.centres)),
+        turns=tensor(np.zeros_like(track.yaws)),
+    )

@@ -1,0 +1,1 @@
+"""3D Gaussian splatting, the original: everything stands still."""

@@ -1,0 +1,29 @@
+"""What a training left behind, as methods that take its weights find it."""
+
+from pathlib import Path
+from typing import Any
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import link_file, read_json
+
+FAILURE_FILE = "failure.json"
+"""In place of networks: why their training failed."""
+
+
+def read_trained(folder: Path) -> dict[str, Any]:
+    """The settings beside a training's networks.
+
+    Raises:
+        GeoEvsError: it failed, and the sentence has its reason; or the settings are missing.
+    """
+    failure = folder / FAILURE_FILE
+    if failure.exists():
+        raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
+    return read_json(folder / "settings.json")
+
+
+def link_trained(folder: Path, copy: Path) -> None:
+    """Give a training's files second names in another folder: many scenes share its weights."""
+    for path in folder.iterdir():
+        if path.is_file():
+            link_file(path, copy / path.name)

@@ -1,0 +1,217 @@
+"""Score rows of the stability suite: every condition, pose, and group of pixels of one method."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from geoevs import layout
+from geoevs.io import read_arrays, read_image, read_json, to_float
+from geoevs.projection import unproject_depth
+from geoevs.protocol.entries import FAILED, OK, MethodEntry
+from geoevs.protocol.reference import References
+from geoevs.protocol.scoring import Answer, describe, regions, score_regions
+from geoevs.protocol.stability import (
+    CLEAN,
+    OUTCOME_FILE,
+    Condition,
+    conditions,
+    world_name,
+)
+from geoevs.protocol.targets import Target, read_targets
+from geoevs.protocol.truth import dense_truth
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.store import Scene
+
+METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
+MOTION_METRICS = ("psnr", "psnr_moving", "psnr_still")
+SPREADS = ("seed_spread_supported", "seed_spread_new")
+"""Standard deviation over draws of a pixel's channels, of 1, where raw reprojection supports it
+and where not. Only generative methods have one in clean conditions."""
+
+EDGE = 0.1  # of the farther one's inverse depth: the least break between two surfaces
+SKY = 1e-6  # its inverse depth, 1 / metres
+BOX_MARGIN = 0.1  # metres around a car's box that still are its own, such as mirrors
+
+
+class World:
+    """The answers of a scene in one world, found under a run's folder by their usual names."""
+
+    def __init__(self, run: Path, dataset: str, scene: str) -> None:
+        place = {"dataset": dataset, "scene": scene}
+        self.scene = Scene(run / layout.SCENE.format(**place))
+        self.targets = read_targets(run / layout.TARGETS.format(**place))
+        self._references = References(run / layout.REFERENCES.format(**place))
+        self._truth = run / layout.TRUTH.format(**place)
+
+    def regions(self, target: Target, keep: float = 1.0) -> dict[str, Answer]:
+        """What a target should look like, by region (see METRICS of the protocol).
+
+        `keep` is the share of the reference's pixels that is kept.
+        """
+        dense = dense_truth(self.scene, self._truth, target)
+        return regions(self._references[target.key], dense, keep)
+
+    def depth(self, target: Target) -> np.ndarray | None:
+        """(H, W) true depth of a target in metres, 0 = none; None where nobody knows it."""
+        path = self._truth / f"{target.key}.npz"
+        return read_arrays(path)["depth"] if path.exists() else None
+
+    def reprojected(self, target: Target) -> np.ndarray:
+        """(H, W) bool: pixels that raw reprojection of the clean scene supports."""
+        return self._references[target.key].reprojected
+
+
+def score_conditions(
+    entry: MethodEntry, group: str, run: Path, scene: str, settings: dict, common: dict
+) -> list[dict[str, Any]]:
+    """Score what `render_conditions` left of one group.
+
+    In these rows `seed` is the draw. CLEAN gives the rows of `lateral`, `yaw` and `edges` as well,
+    and how far the draws lie apart (SPREADS).
+
+    Args:
+        entry: who rendered.
+        group: a stressor, or CLEAN.
+        run: the run's folder.
+        scene: the clean scene's name.
+        settings: the config's `stability` section.
+        common: columns that all rows share: dataset, scene, fingerprint.
+    """
+    dataset = common["dataset"]
+    place = {"dataset": dataset, "scene": scene, "group": group, "label": entry.label}
+    renders = run / layout.STABILITY_RENDERS.format(**place)
+    clean = World(run, dataset, scene)
+    rows = []
+    for condition in conditions(group, settings):
+        moved = group == "motion"
+        world = World(run, dataset, world_name(scene, condition.level)) if moved else clean
+        folder = renders / condition.key
+        outcome = read_json(folder / OUTCOME_FILE)
+        ending = {name: outcome[name] for name in ("stage", "reason", "log")}
+        for target in world.targets:
+            if group != CLEAN and target.split != "extrapolation":
+                continue
+            failed = outcome["status"] == FAILED
+            preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
+            shared = {**common, **describe(entry, target), **ending, "seed": condition.draw}
+            for stress, names, answers in _questions(condition, world, clean, target, settings):
+                scores = score_regions(names, preds, answers)
+                rows += [{**shared, **stress, **score} for score in scores]
+    return rows + (_spread_rows(entry, clean, renders, settings, common) if group == CLEAN else [])
+
+
+def _questions(
+    condition: Condition, world: World, clean: World, target: Target, settings: dict
+) -> Iterator[tuple[dict[str, Any], tuple[str, ...], dict[str, Answer]]]:
+    """What is asked of one picture: columns `stressor` and `level`, metrics, and their answers."""
+    answers = world.regions(target)
+    stress = {"stressor": condition.stressor, "level": condition.level}
+    if target.split == "lateral":
+        stress = {"stressor": "lateral", "level": abs(target.lateral_shift)}
+    if target.split == "yaw":
+        stress = {"stressor": "yaw", "level": round(target.pose_offset, 6)}
+    depth = world.depth(target)
+    if condition.stressor == "motion" and depth is not None:
+        tracks = clean.scene.tracks
+        cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
+        boxes = world.scene.tracks
+        boxes = boxes[boxes["track"].isin(cars) & (boxes["frame"] == target.frame)]
+        inside = in_boxes(depth, target.camera, boxes)
+        dense = answers["dense"]
+        answers["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
+        answers["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
+        yield stress, MOTION_METRICS, answers
+        return
+    yield stress, tuple(name for name in METRICS if "dense" in answers or "sparse" in name), answers
+    if condition.stressor == CLEAN and target.split == "extrapolation" and depth is not None:
+        distance = edge_distance(depth)
+        dense = answers["dense"]
+        for level in settings["levels"]["edges"]:
+            band = {"dense": Answer(dense.target, distance <= level, dense.support_ratio)}
+            yield {"stressor": "edges", "level": level}, ("psnr",), band
+
+
+def edge_distance(depth: np.ndarray) -> np.ndarray:
+    """(H, W) float32 distance of every pixel to the nearest one at a depth edge, in pixels.
+
+    Args:
+        depth: (H, W) metres, 0 = none (the sky, infinitely far away).
+
+    >>> edge_distance(np.array([[5.0, 5.0, 9.0, 9.0, 9.1]])).tolist()
+    [[1.0, 0.0, 0.0, 1.0, 2.0]]
+    """
+    across, down = depth_edges(depth)
+    edge = np.zeros(depth.shape, bool)
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= down
+    edge[:-1] |= down
+    return cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+
+
+def depth_edges(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where an outline runs between two neighbours: (H, W - 1) across and (H - 1, W) down, bool.
+
+    Inverse depth is linear on a plane, so that a road seen at a grazing angle has no edges however
+    fast its depth rises: only what is no continuation of either side counts.
+    """
+    with np.errstate(divide="ignore"):
+        inverse = np.where(depth > 0, 1.0 / depth.astype(np.float64), SKY)
+    return _edges_down(inverse.T).T, _edges_down(inverse)
+
+
+def _edges_down(inverse: np.ndarray) -> np.ndarray:
+    """(H - 1, W) bool from (H, W): whether each two rows break apart."""
+    step = np.diff(inverse, axis=0)
+    bend = np.pad(np.abs(np.diff(step, axis=0)), ((1, 1), (0, 0)), constant_values=np.inf)
+    least = EDGE * np.minimum(inverse[1:], inverse[:-1])
+    return (np.abs(step) > least) & (np.minimum(bend[1:], bend[:-1]) > least)
+
+
+def in_boxes(depth: np.ndarray, camera: Camera, boxes: pd.DataFrame) -> np.ndarray:
+    """(H, W) bool: pixels whose surface lies in one of the boxes (see TRACK_COLUMNS).
+
+    Args:
+        depth: (H, W) true depth of the view in metres, 0 = none.
+        camera: the view.
+        boxes: of its frame.
+    """
+    points, pixels = unproject_depth(depth, camera)
+    inside = np.zeros(len(points), bool)
+    for box in boxes.itertuples():
+        cos, sin = np.cos(np.radians(box.yaw)), np.sin(np.radians(box.yaw))
+        away = points - [box.x, box.y, box.z]
+        local = np.stack([away @ [cos, sin, 0], away @ [-sin, cos, 0], away[:, 2]], axis=1)
+        half = np.array([box.length, box.width, box.height]) / 2 + BOX_MARGIN
+        inside |= (np.abs(local) <= half).all(axis=1)
+    mask = np.zeros(depth.size, bool)
+    mask[pixels] = inside
+    return mask.reshape(depth.shape)
+
+
+def _spread_rows(
+    entry: MethodEntry, clean: World, renders: Path, settings: dict, common: dict
+) -> list[dict[str, Any]]:
+    """SPREADS of the half-way targets; none where a draw failed or there is one draw alone."""
+    folders = [renders / condition.key for condition in conditions(CLEAN, settings)]
+    endings = [read_json(folder / OUTCOME_FILE)["status"] for folder in folders]
+    if len(folders) < 2 or FAILED in endings:
+        return []
+    rows = []
+    for target in clean.targets:
+        if target.split != "extrapolation":
+            continue
+        pictures = [to_float(read_image(folder / f"{target.key}.png")) for folder in folders]
+        spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
+        supported = clean.reprojected(target)
+        for name, region in zip(SPREADS, (supported, ~supported), strict=True):
+            row = {"metric": name, "stressor": CLEAN, "level": 0.0, "status": OK}
+            row |= {"support_ratio": supported.mean(), "valid_pixels": int(region.sum())}
+            row |= {"value": float(spread[region].mean()) if region.any() else np.nan}
+            row |= {"stage": "", "reason": "", "log": ""}
+            rows.append({**common, **describe(entry, target), "seed": 0, **row})
+    return rows

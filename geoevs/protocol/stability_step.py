@@ -1,0 +1,60 @@
+"""Fitting and rendering a method under many conditions, as one isolated process runs it."""
+
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Any
+
+from geoevs.errors import GeoEvsError
+from geoevs.io import write_json
+from geoevs.protocol.entries import OK
+from geoevs.protocol.fit_step import fit_step
+from geoevs.protocol.render_step import render_step
+from geoevs.protocol.stability import OUTCOME_FILE, failed
+from geoevs.protocol.targets import ALL_CAMERAS, read_targets, write_targets
+
+
+def stability_step(
+    method: str,
+    options: dict[str, Any],
+    conditions: list[dict[str, Any]],
+    targets: str,
+    splits: list[str] | None,
+    masks: str,
+    folder: str,
+    log: str,
+) -> None:
+    """Fit and render each condition in turn; one that fails says so, and the next one is tried.
+
+    Args:
+        method: its name.
+        options: its own.
+        conditions: `key`, `scene` (the store that the method is given) and `seed` of each.
+        targets: the scene's target list.
+        splits: those to render, or None for all.
+        masks: the scene's condition masks.
+        folder: where `<key>/<target key>.png` and `<key>/outcome.json` go.
+        log: where this process' output goes; outcomes name it.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        listed = Path(scratch) / "targets.json"
+        every = read_targets(Path(targets))
+        write_targets(listed, [t for t in every if splits is None or t.split in splits])
+        for condition in conditions:
+            place = Path(folder) / condition["key"]
+            place.mkdir()
+            outcome = {"status": OK, "stage": "", "reason": "", "log": ""}
+            stage = "fit"
+            try:
+                with tempfile.TemporaryDirectory(dir=scratch) as model:
+                    budget = {"seconds": None, "threads": 1}
+                    arguments = (condition["seed"], ALL_CAMERAS, budget, model)
+                    fit_step(condition["scene"], method, options, *arguments)
+                    stage = "render"
+                    seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
+                    render_step(method, *seen)
+            except Exception as error:
+                traceback.print_exc()
+                kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
+                outcome = failed(stage, kind + " ".join(str(error).split()), log)
+            write_json(place / OUTCOME_FILE, outcome)

@@ -1,0 +1,134 @@
+"""No more than a scene needs: the size that a method chose, against the best of fixed sizes."""
+
+import math
+import re
+from typing import Any
+
+import pandas as pd
+
+from geoevs.protocol.entries import FAILED
+from geoevs.protocol.rows import check_fingerprints
+from geoevs.protocol.targets import ALL_CAMERAS
+from geoevs.results.formats import markdown_grid
+from geoevs.results.tables import display_name
+
+SPLIT, METRIC = "extrapolation", "sparse_psnr"
+"""What a size is judged by, in dB; a method chooses by its sources alone."""
+
+CHOSEN, FIXED = "default", re.compile(r"\d+k")
+"""The variant that chooses its size, and the names of those whose size is fixed, such as `8k`."""
+
+MEAN = "mean"
+TITLE = "Sizes: chosen per scene, against fixed ones"
+LEGEND = f"""{METRIC} in dB on the {SPLIT} split; sizes are primitives; seconds are of the fit from
+all cameras. Regret: what the chosen size lacks of the best fixed one's dB, and takes more of its
+seconds; negative is better. The best fixed size is found per scene, after the fact. Empty = not
+run, or failed.
+"""
+_KEY = ["dataset", "method", "scene"]
+
+
+def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """A row for every scene of each method that was run with fixed sizes, and one of their means.
+
+    Args:
+        scores: score rows.
+        costs: cost rows.
+
+    Returns:
+        Columns `dataset`, `method`, `scene`, of the chosen size `chosen` (primitives), `psnr` and
+        `seconds`, of the best fixed one `best`, `best_variant`, `best_psnr` and `best_seconds`,
+        `regret_db`, `regret_seconds` and `note`. A data set without fixed sizes has one row that
+        says so.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    check_fingerprints(scores)
+    fits = _fits(scores, costs)
+    table: list[dict[str, Any]] = []
+    for dataset in scores["dataset"].unique():
+        here = fits[fits["dataset"] == dataset]
+        fixed = here["variant"].map(lambda name: bool(FIXED.fullmatch(name)))
+        methods = here.loc[fixed, "method"].unique()
+        for method in methods:
+            mine = here[here["method"] == method]
+            rows = [
+                {"dataset": dataset, "method": method, "scene": scene} | _row(mine, scene)
+                for scene in mine["scene"].unique()
+            ]
+            table += [*rows, _mean(rows)]
+        if not len(methods):
+            table.append({"dataset": dataset, "note": "no fixed size was run"})
+    numbers = ["chosen", "psnr", "seconds", "best", "best_psnr", "best_seconds"]
+    numbers += ["regret_db", "regret_seconds"]
+    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note"]
+    made = pd.DataFrame(table, columns=columns)
+    return made.astype(dict.fromkeys(numbers, "float64"))
+
+
+def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+    """Mean score, size and seconds by scene and entrant; seeds and then frames are averaged."""
+    by = [*_KEY, "variant"]
+    rows = scores[(scores["split"] == SPLIT) & (scores["metric"] == METRIC)]
+    rows = rows[(rows["stressor"] == "") & rows["value"].notna()]
+    frames = rows.groupby([*by, "frame"], sort=False)["value"].mean()
+    psnr = frames.groupby(by, sort=False).mean().rename("psnr")
+    fits = costs[(costs["sources"] == ALL_CAMERAS) & (costs["status"] != FAILED)]
+    spent = fits.groupby(by, sort=False)[["primitives", "fit_seconds"]].mean()
+    return spent.join(psnr, how="inner").reset_index()
+
+
+def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
+    here = fits[fits["scene"] == scene]
+    chosen = here[here["variant"] == CHOSEN]
+    fixed = here[here["variant"].map(lambda name: bool(FIXED.fullmatch(name)))]
+    row: dict[str, Any] = {"note": ""}
+    if len(chosen):
+        (mine,) = chosen.to_dict("records")
+        row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(mine), strict=True))
+    if len(fixed):
+        best = fixed.loc[fixed["psnr"].idxmax()].to_dict()
+        names = ("best", "best_psnr", "best_seconds")
+        row |= dict(zip(names, _numbers(best), strict=True)) | {"best_variant": best["variant"]}
+    if len(chosen) and len(fixed):
+        row["regret_db"] = row["best_psnr"] - row["psnr"]
+        row["regret_seconds"] = row["seconds"] - row["best_seconds"]
+    else:
+        row["note"] = "no fixed size here" if len(chosen) else "no chosen size here"
+    return row
+
+
+def _numbers(fit: dict[str, Any]) -> tuple[float, float, float]:
+    return fit["primitives"], fit["psnr"], fit["fit_seconds"]
+
+
+def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The means over scenes that have both, so that all columns are of the same ones."""
+    whole = pd.DataFrame([row for row in rows if "regret_db" in row])
+    means = whole.select_dtypes("number").mean().to_dict() if len(whole) else {}
+    note = f"of {len(whole)} scenes"
+    return {**{key: rows[0][key] for key in _KEY}, "scene": MEAN, **means, "note": note}
+
+
+def complexity_markdown(table: pd.DataFrame) -> str:
+    """A heading, one table for every data set, and a legend."""
+    header = ["method", "scene", "chosen", "dB", "s", "best fixed", "dB", "s"]
+    header += ["regret dB", "regret s", "note"]
+    forms = {"chosen": ",.0f", "psnr": ".2f", "seconds": ".1f", "best": ",.0f"}
+    forms |= {"best_psnr": ".2f", "best_seconds": ".1f", "regret_db": "+.2f"}
+    forms |= {"regret_seconds": "+.1f"}
+    parts = [f"# {TITLE}\n"]
+    for dataset, rows in table.groupby("dataset", sort=False):
+        body = []
+        for row in rows.to_dict("records"):
+            named = isinstance(row["method"], str)
+            line = [display_name(row["method"], CHOSEN), row["scene"]] if named else ["", ""]
+            line += [
+                "" if math.isnan(row[name]) else format(row[name], form)
+                for name, form in forms.items()
+            ]
+            body.append([*line, row["note"]])
+        parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
+    parts.append(LEGEND)
+    return "\n".join(parts)

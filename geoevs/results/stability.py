@@ -1,0 +1,264 @@
+"""Where methods break: curves over graded stress, breaking points and seed spread, from rows."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from geoevs.protocol.entries import FAILED
+from geoevs.protocol.rows import check_fingerprints
+from geoevs.protocol.stability import CLEAN
+from geoevs.protocol.stability_scoring import SPREADS
+from geoevs.protocol.stressors import STRESSORS
+from geoevs.results.formats import markdown_grid
+from geoevs.results.summary import redraw, summarise
+from geoevs.results.tables import FLOOR, display_name, is_control
+
+ENTRANT = ["dataset", "method", "variant"]
+VIEW = ["scene", "frame", "target", "metric", "seed"]
+COLUMNS = [
+    *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
+    *("mean", "low", "high", "relative_degradation", "worst_decile", "failure_rate", "n"),
+]
+JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
+"""Metrics that have breaking points."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One entrant's mean under each level, mildest first, and the same under every resample."""
+
+    levels: list[float]
+    means: np.ndarray  # [L]
+    samples: np.ndarray  # [R, L]
+
+
+def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """A row for every entrant, stressor, level and metric.
+
+    Args:
+        scores: the suite's score rows.
+        settings: the config's `tables` section.
+
+    Returns:
+        COLUMNS. `mean` and its interval are over frames and draws; `relative_degradation` is the
+        share of the mildest level's mean that is lost; `worst_decile` is the mean of the worst
+        tenth of views; `failure_rate` is the share of views that were not delivered, or that are
+        below what the floor control scores on them without stress.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    check_fingerprints(scores)
+    floor = _floor(scores)
+    table = []
+    for key, rows in _curves(scores):
+        curve = fit_curve(rows, key["stressor"], settings)
+        tail = (1 - settings["confidence"]) / 2
+        for number, level in enumerate(curve.levels):
+            here = _at(rows, level)
+            values = here["value"].dropna()
+            low, high = _ends(curve.samples[:, number], tail)
+            bar = here.merge(floor, on=VIEW[:-1], how="left")
+            below = (bar["value"] < bar["floor"]) | (bar["status"] == FAILED)
+            tenth = values.nsmallest(max(1, round(len(values) / 10)))
+            table.append(
+                {
+                    **key,
+                    "name": display_name(key["method"], key["variant"]),
+                    "control": is_control(key["method"]),
+                    "level": level,
+                    "mean": curve.means[number],
+                    "low": low,
+                    "high": high,
+                    "relative_degradation": 1 - curve.means[number] / curve.means[0],
+                    "worst_decile": tenth.mean(),
+                    "failure_rate": below.mean(),
+                    "n": len(values),
+                }
+            )
+    return pd.DataFrame(table, columns=COLUMNS)
+
+
+def _at(rows: pd.DataFrame, level: float) -> pd.DataFrame:
+    """The rows of a level; NaN is without stress."""
+    return rows[rows["level"].isna() if np.isnan(level) else rows["level"] == level]
+
+
+def _ends(samples: np.ndarray, tail: float) -> tuple[float, float]:
+    if np.isnan(samples).all() or np.ptp(samples) == 0:
+        return np.nan, np.nan
+    low, high = np.nanquantile(samples, [tail, 1 - tail], method="inverted_cdf")
+    return float(low), float(high)
+
+
+def _floor(scores: pd.DataFrame) -> pd.DataFrame:
+    """What the floor control scores on every view without stress: `floor` beside VIEW."""
+    rows = scores[scores["method"] == FLOOR]
+    unstressed = rows["stressor"].isin([CLEAN, *_own_mildest()])
+    views = rows[unstressed].groupby(VIEW[:-1], as_index=False)["value"].mean()
+    return views.rename(columns={"value": "floor"})
+
+
+def _own_mildest() -> list[str]:
+    """Stressors whose mildest level takes the place of CLEAN, because the truth differs."""
+    return [
+        name for name, stressor in STRESSORS.items() if stressor.acts_on in ("world", "targets")
+    ]
+
+
+def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
+    """The rows of every curve, those of CLEAN added where stress starts from there."""
+    scores = scores[~scores["metric"].isin(SPREADS)]
+    clean = scores[scores["stressor"] == CLEAN]
+    stressed = scores[scores["stressor"] != CLEAN]
+    by = [*ENTRANT, "stressor", "metric"]
+    for key, rows in stressed.groupby(by, sort=False, dropna=False):
+        named = dict(zip(by, key, strict=True))
+        if named["stressor"] not in _own_mildest():
+            same = clean[[*ENTRANT, "metric"]].eq({k: named[k] for k in (*ENTRANT, "metric")})
+            mildest = clean[same.all(axis=1)].assign(level=np.nan)
+            rows = pd.concat([mildest, rows])
+        yield named, rows
+
+
+def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Curve:
+    """Means by level, with resamples that redraw frames within scenes and, apart, draws.
+
+    Targets of a frame are averaged first. A frame and draw counts the same at every level.
+
+    Args:
+        rows: score rows of one entrant, stressor and metric; the level NaN is without stress.
+        stressor: says which way levels get harder.
+        settings: the config's `tables` section.
+    """
+    given = sorted(rows["level"].dropna().unique(), reverse=STRESSORS[stressor].falling)
+    levels = [*([np.nan] if rows["level"].isna().any() else []), *given]
+    draws = sorted(rows["seed"].unique())
+    frames = rows[["scene", "frame"]].drop_duplicates().sort_values(["scene", "frame"])
+    frames = pd.MultiIndex.from_frame(frames)
+    rng = np.random.default_rng(0)
+    by_draw = redraw(np.zeros(len(draws)), settings["resamples"], rng)
+    by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings["resamples"], rng)
+    means, samples = [], []
+    for level in levels:
+        cells = _at(rows, level).pivot_table("value", "seed", ["scene", "frame"])
+        cells = cells.reindex(index=draws, columns=frames).to_numpy()
+        present = np.isfinite(cells).astype(np.float64)
+        values = np.where(present > 0, cells, 0.0)
+        with np.errstate(invalid="ignore"):  # nothing at all: 0 / 0
+            means.append(values.sum() / present.sum())
+            totals = (by_draw @ values * by_frame).sum(axis=1)
+            samples.append(totals / (by_draw @ present * by_frame).sum(axis=1))
+    return Curve(levels, np.array(means), np.stack(samples, axis=1))
+
+
+def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """The level at which each method falls below the best control under the same stress.
+
+    Args:
+        scores: the suite's score rows.
+        settings: the config's `tables` section.
+
+    Returns:
+        A row for every method (controls excepted), stressor and metric of JUDGED_BY: `level`, the
+        first at which its mean is below the best control's, with the interval `low` (milder) and
+        `high` (harder) over resamples; `clean` is before any stress and `none` beyond the hardest
+        level. `control` is the best one there, `lead` by how much the method is above it without
+        stress, in the metric's unit.
+    """
+    curves: dict[tuple, dict[tuple[str, str], Curve]] = {}
+    for key, rows in _curves(scores[scores["metric"].isin(JUDGED_BY)]):
+        group = (key["dataset"], key["stressor"], key["metric"])
+        entrant = (key["method"], key["variant"])
+        curves.setdefault(group, {})[entrant] = fit_curve(rows, key["stressor"], settings)
+    table = []
+    for (dataset, stressor, metric), entrants in curves.items():
+        controls = {who: curve for who, curve in entrants.items() if is_control(who[0])}
+        for (method, variant), curve in entrants.items():
+            if is_control(method) or not controls:
+                continue
+            row = {"dataset": dataset, "method": method, "variant": variant}
+            row |= {"stressor": stressor, "metric": metric}
+            table.append(row | _breaking_point(curve, controls, settings["confidence"]))
+    return pd.DataFrame(table)
+
+
+def _breaking_point(
+    curve: Curve, controls: dict[tuple[str, str], Curve], confidence: float
+) -> dict[str, Any]:
+    names = list(controls)
+    means = np.stack([controls[name].means for name in names])
+    best = np.nanargmax(means, axis=0)
+    rivals = np.stack(
+        [controls[names[who]].samples[:, number] for number, who in enumerate(best)], axis=1
+    )
+    labels = ["clean" if np.isnan(level) else f"{level:g}" for level in curve.levels] + ["none"]
+    first = _first_broken(curve.means[None], means.max(axis=0)[None])[0]
+    tail = (1 - confidence) / 2
+    ends = np.quantile(
+        _first_broken(curve.samples, rivals), [tail, 1 - tail], method="inverted_cdf"
+    )
+    return {
+        "level": labels[first],
+        "low": labels[int(ends[0])],
+        "high": labels[int(ends[1])],
+        "control": names[best[min(first, len(best) - 1)]][0],
+        "lead": curve.means[0] - means[best[0], 0],
+    }
+
+
+def _first_broken(
+    values: np.ndarray,  # [R, L]
+    rivals: np.ndarray,  # [R, L]
+) -> np.ndarray:
+    """(R,) index of the first level below its rival; L where there is none. No value is below."""
+    broken = ~(values >= rivals)
+    return np.where(broken.any(axis=1), broken.argmax(axis=1), values.shape[1])
+
+
+def seed_spread(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+    """How far a method's draws lie apart without stress, in 8-bit levels (see SPREADS)."""
+    rows = scores[scores["metric"].isin(SPREADS)]
+    rows = rows.assign(value=255 * rows["value"])
+    return summarise(rows, [*ENTRANT, "metric"], settings["resamples"], settings["confidence"])
+
+
+LEGEND = """The first level at which a method's mean is below that of the best control under the
+same stress [over resamples of frames and draws: from the mildest to the hardest]. *clean*: it is
+below before any stress. *none*: it stays above up to the hardest level.
+"""
+
+
+def stability_markdown(broken: pd.DataFrame, spread: pd.DataFrame) -> str:
+    """Breaking points, a table for every data set and metric; then the seed spread."""
+    parts = ["# Breaking points\n", LEGEND]
+    if len(broken):
+        for (dataset, metric), rows in broken.groupby(["dataset", "metric"], sort=False):
+            parts.append(f"## {dataset}, {metric}\n\n{_broken_grid(rows)}\n")
+    parts.append("# Seed spread\n")
+    parts.append(
+        "Standard deviation over draws without stress, in 8-bit levels, where raw reprojection "
+        "supports a pixel and where not.\n"
+    )
+    body = []
+    for key, rows in spread.groupby(ENTRANT, sort=False):
+        means = rows.set_index("metric")["mean"]
+        body.append([display_name(*key[1:]), *(f"{means[name]:.2f}" for name in SPREADS)])
+    parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
+    return "\n".join(parts)
+
+
+def _broken_grid(rows: pd.DataFrame) -> str:
+    stressors: Sequence[str] = rows["stressor"].unique().tolist()
+    body = []
+    for (method, variant), mine in rows.groupby(["method", "variant"], sort=False):
+        cells = []
+        for stressor in stressors:
+            (point,) = mine[mine["stressor"] == stressor].to_dict("records")
+            interval = f" [{point['low']}, {point['high']}]"
+            cells.append(point["level"] + ("" if point["low"] == point["high"] else interval))
+        body.append([display_name(method, variant), *cells])
+    return markdown_grid(["method", *stressors], body)

@@ -1,0 +1,62 @@
+"""Boxes of tracks: what lies in one, and where it is when the box has moved."""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+import pandas as pd
+
+from geoevs.scenes.scene import TRACK_COLUMNS
+
+
+class Box(NamedTuple):
+    """A row of tracks: metres, and degrees about the world's vertical axis (see TRACK_COLUMNS)."""
+
+    frame: int
+    track: str
+    label: str
+    x: float
+    y: float
+    z: float
+    length: float
+    width: float
+    height: float
+    yaw: float
+    moving: bool
+
+    @classmethod
+    def rows(cls, tracks: pd.DataFrame) -> list[Self]:
+        """The boxes of tracks, in their order."""
+        columns = tracks[list(TRACK_COLUMNS)]
+        return [cls(*row) for row in columns.itertuples(index=False, name=None)]
+
+    def local(
+        self,
+        points: np.ndarray,  # [N, 3] in the world
+    ) -> np.ndarray:
+        """(N, 3) float64 the points from the box's centre: forward, to the left, up."""
+        return (points - self._centre) @ self._axes
+
+    def world(
+        self,
+        local: np.ndarray,  # [N, 3] as `local` gives them
+    ) -> np.ndarray:
+        """(N, 3) float64 the inverse of `local`: with the box of another frame, points moved."""
+        return local @ self._axes.T + self._centre
+
+    def holds(
+        self,
+        points: np.ndarray,  # [N, 3] in the world
+    ) -> np.ndarray:
+        """(N,) bool: the points inside, its surface included."""
+        half = np.array([self.length, self.width, self.height]) / 2
+        return (np.abs(self.local(points)) <= half).all(axis=1)
+
+    @property
+    def _centre(self) -> np.ndarray:
+        return np.array([self.x, self.y, self.z])
+
+    @property
+    def _axes(self) -> np.ndarray:
+        """(3, 3) world directions of the box's axes, one a column."""
+        cos, sin = np.cos(np.radians(self.yaw)), np.sin(np.radians(self.yaw))
+        return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])

@@ -1,0 +1,86 @@
+"""The method as the protocol meets it, and its actors against truth."""
+
+import numpy as np
+import pytest
+import torch
+
+from geoevs.adapter import Budget, Rng, Views, make_method
+from geoevs.adapter_check import contract_failures
+from geoevs.errors import GeoEvsError
+from geoevs.scenes import tiny as room
+
+STEP = -0.9  # metres along y a frame
+
+
+def fit(scene, steps=20, **options):
+    method = make_method("street-gaussians", {"iterations": steps, "gaussians": 400, **options})
+    views = Views(scene, scene.cameras, method.info.needs)
+    return method, method.fit(views, Budget(), Rng(0))
+
+
+def test_contract():
+    assert contract_failures("street-gaussians", iterations=20, gaussians=300) == []
+
+
+def is_red(rgb):
+    """Where the car's tint is: the room is never so."""
+    return rgb[..., 0] - rgb[..., 1] > 0.3
+
+
+def overlap(one, other):
+    return np.count_nonzero(one & other) / np.count_nonzero(one | other)
+
+
+def test_an_actor_moved_along_its_track_moves_in_the_picture(moving, truth_with_car):
+    method, report = fit(moving, steps=300, gaussians=600)
+    assert "1 actors" in report.note
+    camera = room.tiny_camera("virtual", 0.0, room.MOUNT)
+    for frame in range(4):
+        assert overlap(is_red(method.render(camera, frame).rgb), truth_with_car(frame)[1]) > 0.7
+    # To where it never was, half-way between two frames and beyond the last one.
+    (actor,) = method._graph.actors
+    for place in (1.5, 3.6):
+        actor.centres[1] = actor.centres[0] + torch.tensor([0.0, place * STEP, 0.0])
+        picture = method.render(camera, 1).rgb
+        truth, car = truth_with_car(place)
+        assert overlap(is_red(picture), car) > 0.7
+        assert abs(picture - truth).mean() < 0.05
+
+
+def test_a_moving_scene_is_the_same_after_reload(moving, tmp_path):
+    method, _ = fit(moving)
+    method.save(tmp_path)
+    again = type(method).load(tmp_path)
+    camera = room.tiny_camera("virtual", 20.0, room.MOUNT)
+    one, other = method.render(camera, 2), again.render(camera, 2)
+    np.testing.assert_array_equal(one.rgb, other.rgb)
+    np.testing.assert_array_equal(one.depth, other.depth)
+    assert not np.array_equal(one.rgb, method.render(camera, 0).rgb)
+
+
+def test_what_stands_still_is_no_actor(write_room, boxes):
+    method, report = fit(write_room(boxes(moving=False)))
+    assert method._graph.actors == []
+    assert report.note.endswith("no actor nodes")
+    method, report = fit(write_room(boxes()[:0]))
+    assert method._graph.actors == []
+
+
+def test_the_road_is_left_and_the_car_taken_from_the_background(moving):
+    method, _ = fit(moving, steps=1)
+    xyz = method._graph.background.gaussians.means.detach().numpy()
+    low, high = room.CAR + np.array([[0.05, 0.05, 0.15], [-0.05, -0.05, -0.05]])
+    assert not ((xyz > low) & (xyz < high)).all(axis=1).any()
+
+
+@pytest.mark.parametrize("size", [(0.0, 2.0, 1.4), (np.nan, 2.0, 1.4)])
+def test_a_box_without_size_is_named(write_room, boxes, size):
+    with pytest.raises(GeoEvsError, match="box of track 'car-0' in frame 0 has no size"):
+        fit(write_room(boxes(size=size)))
+
+
+def test_without_lidar_it_starts_elsewhere(write_room, boxes):
+    method, report = fit(write_room(boxes(), lidar=False))
+    assert "0 LiDAR points, too few" in report.note
+    assert "1 actors" in report.note
+    assert np.isfinite(method.render(room.tiny_camera("front", 0.0, room.MOUNT), 0).rgb).all()

@@ -1,0 +1,63 @@
+"""The method as the protocol meets it."""
+
+import numpy as np
+import pytest
+
+from geoevs.adapter import Budget, Rng, Views, make_method
+from geoevs.adapter_check import contract_failures
+from geoevs.errors import GeoEvsError
+from geoevs.scenes.tiny import write_tiny_scene
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_tiny_scene(tmp_path_factory.mktemp("tiny") / "scene")
+
+
+def fit(scene, cameras=("front", "left", "right"), seconds=None, **options):
+    method = make_method("three-dgs", {"iterations": 20, **options})
+    views = Views(scene, cameras, method.info.needs)
+    return method, method.fit(views, Budget(seconds), Rng(0))
+
+
+def test_contract():
+    assert contract_failures("three-dgs", iterations=20, gaussians=300) == []
+
+
+def test_the_note_says_where_it_starts(scene):
+    # The tiny room is too smooth for features.
+    _, report = fit(scene, gaussians=300)
+    assert report.note.startswith("starts from 300 of")
+    assert "LiDAR points; 0 points of SfM, too few" in report.note
+    assert report.primitives == 300
+    assert report.parameters == 300 * 23
+
+
+def test_depth_is_only_where_something_is(scene):
+    method, _ = fit(scene)
+    method._graph.background.gaussians.logit_opacities.data[:] = -8.0
+    rendering = method.render(scene.camera("front", 0), 0)
+    assert not rendering.depth.any()
+
+
+def test_two_images_are_enough_but_choose_no_size(scene):
+    method, report = fit(scene, cameras=("front",))
+    assert "2 views are too few to choose a size by" in report.note
+    assert np.isfinite(method.render(scene.camera("left", 0), 0).rgb).all()
+
+
+def test_a_spent_budget_still_leaves_a_scene(scene):
+    method, report = fit(scene, seconds=0.0)
+    assert "0 of 20 iterations in the budget" in report.note
+    assert method.render(scene.camera("front", 0), 0).rgb.shape == (48, 72, 3)
+
+
+@pytest.mark.parametrize("option", ["iterations", "gaussians"])
+def test_bad_options_are_one_sentence(option):
+    with pytest.raises(GeoEvsError, match=f"option '{option}' is 0; make it 1 or more"):
+        make_method("three-dgs", {option: 0})
+
+
+def test_an_unknown_densification_is_one_sentence(scene):
+    with pytest.raises(GeoEvsError, match="no densification 'grad'; did you mean 'gradient'"):
+        fit(scene, densification="grad")

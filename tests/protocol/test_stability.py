@@ -1,0 +1,170 @@
+"""Conditions, their isolation, and the pixels that the suite tells apart."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.io import read_json, write_image
+from geoevs.projection import unproject_depth
+from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.masks import RawReprojection
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import make_references
+from geoevs.protocol.stability import (
+    CLEAN,
+    Condition,
+    clean_settings,
+    conditions,
+    groups,
+    render_conditions,
+    stability_targets,
+    world_name,
+)
+from geoevs.protocol.stability_scoring import depth_edges, edge_distance, in_boxes, score_conditions
+from geoevs.protocol.stressors import STRESSORS
+from geoevs.protocol.targets import read_targets, write_targets
+from geoevs.protocol.truth import write_truth
+from geoevs.scenes.scene import SceneRef
+from geoevs.scenes.tiny import CAR, ROOM, tiny_camera, tiny_truth, write_tiny_scene
+
+LEVELS = {name: [] for name in STRESSORS} | {
+    "support": [0.05, 0.01],
+    "motion": [0, 5],
+    "lateral": [0, 2],
+    "yaw": [0, 45],
+    "edges": [4, 1],
+}
+SETTINGS = {"seeds": 2, "lateral": [1.0], "levels": LEVELS}
+
+
+def test_groups_and_their_conditions():
+    assert groups(SETTINGS) == [CLEAN, "support", "motion"]
+    assert [condition.key for condition in conditions("support", SETTINGS)] == [
+        *("0.05.seed0", "0.05.seed1", "0.01.seed0", "0.01.seed1"),
+    ]
+    assert len(conditions("motion", SETTINGS)) == 2  # nothing is drawn in a world
+    assert [condition.draw for condition in conditions(CLEAN, SETTINGS)] == [0, 1]
+
+
+def test_poses_lie_where_they_say(stage):
+    targets = stability_targets(stage.store, SETTINGS)
+    front = stage.store.camera("front", 0)
+    first = [target for target in targets if target.frame == 0]
+    assert {t.split for t in first} == {"extrapolation", "lateral", "yaw"}
+    for target in first:
+        moved = target.camera.centre - front.centre
+        if target.split == "lateral":
+            assert target.pose_offset == pytest.approx(0, abs=1e-9)
+            assert np.linalg.norm(moved) == pytest.approx(abs(target.lateral_shift))
+        elif target.split == "yaw":
+            assert target.pose_offset == pytest.approx(float(target.camera.name[-5:-3].strip("-")))
+    assert len({target.key for target in targets}) == len(targets)
+    other = stability_targets(stage.store, clean_settings(SETTINGS, world_name("tiny", 5)))
+    assert {target.split for target in other} == {"extrapolation"}
+
+
+@pytest.fixture
+def folder(tmp_path, tiny_source):
+    """A run of the tiny scene that the suite's steps find their files in."""
+    place = {"dataset": "d", "scene": "tiny"}
+    store = write_tiny_scene(tmp_path / layout.SCENE.format(**place))
+    targets = [t for t in stability_targets(store, SETTINGS) if t.frame == 0]
+    write_targets(tmp_path / layout.TARGETS.format(**place), targets)
+    references = make_references(store, targets, RawReprojection(store), seed=0)
+    write_records(tmp_path / layout.REFERENCES.format(**place), references)
+    write_records(tmp_path / layout.MASKS.format(**place), {})
+    truth = tmp_path / layout.TRUTH.format(**place)
+    write_truth(truth, tiny_source, SceneRef("tiny"), targets, lambda: None)
+    return tmp_path
+
+
+def render(folder, method, group, scenes):
+    place = {"dataset": "d", "scene": "tiny"}
+    renders = folder / layout.STABILITY_RENDERS.format(group=group, label=method, **place)
+    targets, masks = (folder / p.format(**place) for p in (layout.TARGETS, layout.MASKS))
+    entry = MethodEntry(method)
+    pairs = list(zip(conditions(group, SETTINGS), scenes, strict=True))
+    render_conditions(entry, pairs, targets, masks, renders, folder / "method.log")
+    return renders
+
+
+def test_one_failing_condition_does_not_end_the_others(folder, toy):
+    method = toy("picky", fit="assert len(views.lidar(0)) > 0", render="pass")
+    scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
+    # It declares no LiDAR, so that reading it fails; without the scene everything fails.
+    renders = render(folder, method, "support", [scene, folder / "nowhere", scene, scene])
+    endings = [read_json(renders / c.key / "outcome.json") for c in conditions("support", SETTINGS)]
+    assert {ending["status"] for ending in endings} == {"failed"}
+    assert "without declaring it" in endings[0]["reason"]
+    assert "nowhere" in endings[1]["reason"]
+    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
+    rows = score_conditions(MethodEntry(method), "support", folder, "tiny", SETTINGS, common)
+    assert {row["status"] for row in rows} == {"failed"}
+    assert {row["level"] for row in rows} == {0.05, 0.01}
+
+
+def test_a_process_that_dies_fails_what_it_had_not_done(folder, toy):
+    method = toy("dies", render="if camera.name.startswith('extrapolation-right'): os._exit(3)")
+    scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
+    renders = render(folder, method, "support", [scene] * 4)
+    for condition in conditions("support", SETTINGS):
+        outcome = read_json(renders / condition.key / "outcome.json")
+        assert outcome["status"] == "failed"
+        assert "exit code 3" in outcome["reason"]
+
+
+def test_clean_renders_score_poses_edges_and_spread(folder, toy):
+    method = toy("noisy")
+    scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
+    renders = render(folder, method, CLEAN, [scene, scene])
+    # Another draw gives other pictures.
+    for target in read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny")):
+        picture = np.full((48, 72, 3), 0.5 + 0.1, np.float32)
+        write_image(renders / Condition(CLEAN, draw=1).key / f"{target.key}.png", picture)
+    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
+    rows = pd.DataFrame(
+        score_conditions(MethodEntry(method), CLEAN, folder, "tiny", SETTINGS, common)
+    )
+    assert set(rows["stressor"]) == {CLEAN, "lateral", "yaw", "edges"}
+    assert set(rows[rows["stressor"] == "yaw"]["level"]) == {0.0, 45.0}
+    edges = rows[rows["stressor"] == "edges"].groupby("level")["valid_pixels"].sum()
+    assert edges[1] < edges[4]
+    spread = rows[rows["metric"] == "seed_spread_supported"]["value"]
+    assert len(spread) == 2
+    # 128 and 153 of 255: the standard deviation of two draws is their distance over root 2.
+    assert spread.to_list() == pytest.approx([25 / 255 / np.sqrt(2)] * 2)
+
+
+def test_a_plane_at_a_grazing_angle_has_no_edge():
+    road = 300.0 / np.arange(2.0, 40.0)[:, None] * np.ones((1, 5))  # inverse depth is linear
+    across, down = depth_edges(road)
+    assert not across.any()
+    assert not down.any()
+    road[20:, 2] /= 2  # a post stands on it
+    across, _ = depth_edges(road)
+    assert across[20:, 1:3].all()
+    assert not across[:20].any()
+    assert edge_distance(road)[30].tolist() == [1.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_the_sky_is_behind_everything():
+    assert edge_distance(np.array([[0.0, 0.0, 50.0, 50.0]])).tolist() == [[1.0, 0.0, 0.0, 1.0]]
+
+
+def test_pixels_in_a_box_are_those_of_its_car():
+    camera = tiny_camera("aside", 15.0, np.array([0.0, 0.5, 1.6]))
+    truth = tiny_truth(camera)
+    centre, size = CAR.mean(axis=0), CAR[1] - CAR[0]
+    fields = ("x", "y", "z", "length", "width", "height")
+    box = dict(zip(fields, [*centre, *size], strict=True)) | {"yaw": 0.0}
+    inside = in_boxes(truth.depth, camera, pd.DataFrame([box]))
+    rays = unproject_depth(np.ones_like(truth.depth), camera)[0] - camera.centre
+    with np.errstate(divide="ignore"):
+        wall = ((ROOM[:, None] - camera.centre) / rays).max(axis=0).min(axis=1)
+    car = truth.depth < wall.reshape(truth.depth.shape) - 1e-3
+    assert car.sum() > 100
+    assert inside[car].all()
+    assert (inside & ~car).sum() < 0.2 * car.sum()  # the floor that touches it
+    turned = pd.DataFrame([box | {"yaw": 90.0, "x": centre[0] - 30}])
+    assert not in_boxes(truth.depth, camera, turned).any()

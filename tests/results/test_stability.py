@@ -1,0 +1,133 @@
+"""Curves, breaking points and spread, on rows made by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from geoevs.results.chart_pages import page_html
+from geoevs.results.stability import (
+    breaking_points,
+    make_stability_table,
+    seed_spread,
+    stability_markdown,
+)
+from geoevs.results.stability_chart import curves, stability_curves
+
+SETTINGS = {"resamples": 200, "confidence": 0.9}
+LEVELS = [0.1, 0.05, 0.01]
+
+
+def curve(method, clean, values, stressor="support", levels=LEVELS, wobble=0.0, **more):
+    """Rows of two frames and two draws that lie `wobble` below and above."""
+    table = [("clean", 0.0, clean)] if clean is not None else []
+    table += [(stressor, level, value) for level, value in zip(levels, values, strict=True)]
+    return [
+        {
+            **{"method": method, "stressor": stress, "level": level, "frame": frame, "seed": draw},
+            **{"metric": "psnr", "target": "t", "value": value + wobble * (2 * draw - 1)},
+            **more,
+        }
+        for stress, level, value in table
+        for frame in (0, 1)
+        for draw in (0, 1)
+    ]
+
+
+def one(table, **where):
+    for column, value in where.items():
+        table = table[table[column] == value]
+    (row,) = table.to_dict("records")
+    return row
+
+
+CONTROLS = [
+    *curve("mean-colour", 10.0, [10.0] * 3),
+    *curve("reproject-inpaint", 24.0, [20.0, 16.0, 9.0]),
+]
+
+
+def test_a_curve_starts_clean_and_says_what_is_lost(rows):
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25.0, [20, 15, 5])), SETTINGS)
+    mine = table[table["method"] == "mine"]
+    assert mine["level"].tolist()[1:] == LEVELS  # hardest last
+    assert math.isnan(mine["level"].iloc[0])
+    assert mine["mean"].tolist() == [25, 20, 15, 5]
+    assert mine["relative_degradation"].tolist() == pytest.approx([0, 0.2, 0.4, 0.8])
+    assert mine["failure_rate"].tolist() == [0, 0, 0, 1]  # below the floor's 10 dB
+    assert mine["n"].tolist() == [4] * 4
+
+
+def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, LEVELS, wobble=1)), SETTINGS)
+    row = one(table[table["level"].isna()], method="mine")
+    assert (row["low"], row["mean"], row["high"]) == (24, 25, 26)
+    assert row["worst_decile"] == 24
+
+
+def test_undelivered_views_are_failures(rows):
+    missing = [row | {"value": math.nan, "status": "failed"} for row in curve("mine", 25, [1] * 3)]
+    table = make_stability_table(rows(*CONTROLS, *missing), SETTINGS)
+    assert (table[table["method"] == "mine"]["failure_rate"] == 1).all()
+    broken = breaking_points(rows(*CONTROLS, *missing), SETTINGS)
+    assert one(broken, method="mine")["level"] == "clean"
+
+
+@pytest.mark.parametrize(
+    ("clean", "values", "level"),
+    [
+        (25.0, [21, 15, 9.5], "0.05"),
+        (25.0, [21, 17, 9.5], "0.01"),  # the floor is the best control there
+        (25.0, [21, 17, 11], "none"),
+        (23.0, [21, 17, 11], "clean"),
+    ],
+)
+def test_the_breaking_point_is_the_first_level_below_the_best_control(rows, clean, values, level):
+    broken = breaking_points(rows(*CONTROLS, *curve("mine", clean, values)), SETTINGS)
+    row = one(broken, method="mine")
+    assert (row["level"], row["low"], row["high"]) == (level, level, level)
+    assert row["lead"] == pytest.approx(clean - 24)
+    assert row["control"] == ("mean-colour" if level in ("0.01", "none") else "reproject-inpaint")
+    assert set(broken["method"]) == {"mine"}
+
+
+def test_its_interval_holds_what_draws_leave_open(rows):
+    mine = curve("mine", 30, [20.5, 16.5, 11], wobble=1.0)
+    row = one(breaking_points(rows(*CONTROLS, *mine), SETTINGS), method="mine")
+    assert row["level"] == "none"
+    assert (row["low"], row["high"]) == ("0.1", "none")
+
+
+def test_poses_start_from_their_own_mildest_level(rows):
+    poses = {"stressor": "lateral", "levels": [0, 2, 4]}
+    made = rows(
+        *curve("mean-colour", 10, [10] * 3, **poses), *curve("mine", 40, [20, 18, 8], **poses)
+    )
+    table = make_stability_table(made, SETTINGS)
+    mine = table[table["method"] == "mine"]
+    assert mine["level"].tolist() == [0, 2, 4]
+    assert mine["relative_degradation"].iloc[1] == pytest.approx(0.1)
+    assert mine["failure_rate"].tolist() == [0, 0, 1]
+
+
+def test_spread_is_in_8_bit_levels(rows):
+    made = rows(
+        *[
+            {"method": "mine", "stressor": "clean", "metric": f"seed_spread_{part}", "value": value}
+            for part, value in (("supported", 0.01), ("new", 0.1))
+        ]
+    )
+    spread = seed_spread(made, SETTINGS)
+    assert spread["mean"].to_list() == pytest.approx([2.55, 25.5])
+    page = stability_markdown(breaking_points(rows(*CONTROLS), SETTINGS), spread)
+    assert "| mine | 2.55 | 25.50 |" in page
+
+
+def test_the_chart_goes_from_clean_to_hardest(rows):
+    table = make_stability_table(rows(*CONTROLS), SETTINGS)
+    shown = curves(table, "support")
+    assert list(dict.fromkeys(shown["severity"])) == ["clean", "0.1", "0.05", "0.01"]
+    page = page_html(stability_curves(shown, "support"))
+    assert "valid pixels of the LiDAR condition" in page
+    assert 'src="http' not in page
+    assert np.isfinite(shown["mean"]).all()

@@ -1,0 +1,221 @@
+# Where methods break: graded stress, over seeds (paper section 4.7). Nothing here is timed, so jobs run
+# side by side; one job does all levels and seeds of a stressor.
+
+STABILITY = config["stability"]
+STABILITY_GROUPS = groups(STABILITY)
+# The main run's entrants, with fewer iterations and the like where fits are long.
+STABILITY_ENTRIES = {entry.label: entry for entry in stability_entries(config)}
+STABILITY_FILES = [
+    in_run(path)
+    for path in (
+        layout.STABILITY_TABLE,
+        f"{layout.BREAKING_POINTS}.csv",
+        f"{layout.BREAKING_POINTS}.md",
+        layout.SEED_SPREAD,
+    )
+]
+STABILITY_CURVES = [name for name in STRESSORS if STABILITY["levels"][name]]
+
+
+wildcard_constraints:
+    stressor="|".join(STRESSORS),
+    group="|".join(STABILITY_GROUPS),
+
+
+def given_scenes(wildcards):
+    """The stores that methods are given under the conditions of a group, in their order."""
+    scenes = []
+    for condition in conditions(wildcards.group, STABILITY):
+        pattern, scene = layout.STRESSED, wildcards.scene
+        if wildcards.group == CLEAN:
+            pattern = layout.SCENE
+        elif STRESSORS[wildcards.group].acts_on == "world":
+            pattern, scene = layout.SCENE, world_name(scene, condition.level)
+        level = f"{condition.level:g}"
+        place = {"dataset": wildcards.dataset, "scene": scene, "level": level}
+        scenes.append(
+            in_run(pattern).format(
+                stressor=wildcards.group, draw=condition.draw, **place
+            )
+        )
+    return scenes
+
+
+def stability_answers(wildcards):
+    """The clean scene's answers; where each level is another world, those of all levels."""
+    scenes = [wildcards.scene]
+    if wildcards.group != CLEAN and STRESSORS[wildcards.group].acts_on == "world":
+        scenes += [
+            world_name(wildcards.scene, level)
+            for level in STABILITY["levels"][wildcards.group]
+        ]
+    patterns = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.TRUTH)
+    return [
+        in_run(pattern).format(dataset=wildcards.dataset, scene=scene)
+        for pattern in patterns
+        for scene in scenes
+    ]
+
+
+def stability_arguments(wildcards):
+    """How a command is told which method, and which stressor it deals with."""
+    entry = STABILITY_ENTRIES[wildcards.label]
+    return (
+        f"--method {entry.method} --variant {entry.variant} --seed {entry.seed} "
+        f"--group {wildcards.group} --settings {shlex.quote(json.dumps(group_settings(wildcards)))}"
+    )
+
+
+def group_settings(wildcards):
+    """What a group's jobs depend on: seeds, and its own levels."""
+    levels = dict(STABILITY["levels"])
+    if wildcards.group != CLEAN:
+        levels = {wildcards.group: levels[wildcards.group]}
+    return {
+        "seeds": STABILITY["seeds"],
+        "lateral": STABILITY["lateral"],
+        "levels": levels,
+    }
+
+
+# Its data sets have target lists of their own.
+ruleorder: stability_targets > targets
+
+
+rule stability_targets:
+    input:
+        scene=in_run(layout.SCENE),
+    output:
+        in_run(layout.TARGETS),
+    log:
+        in_run("logs/targets/{dataset}/{scene}.log"),
+    wildcard_constraints:
+        dataset="|".join(STABILITY["datasets"]),
+    params:
+        settings=lambda wildcards: json.dumps(
+            clean_settings(STABILITY, wildcards.scene)
+        ),
+        code=code_hash("geoevs.protocol.stability"),
+    shell:
+        "geoevs --log {log:q} stability-targets --scene {input.scene:q}"
+        " --settings {params.settings:q} --out {output:q}"
+
+
+rule stress:
+    input:
+        scene=in_run(layout.SCENE),
+    output:
+        directory(in_run(layout.STRESSED)),
+    log:
+        in_run("logs/stress/{dataset}/{scene}/{stressor}/{level}.seed{draw}.log"),
+    params:
+        code=code_hash("geoevs.protocol.stressors"),
+    shell:
+        "geoevs --log {log:q} stress {input.scene:q} --stressor {wildcards.stressor}"
+        " --level {wildcards.level} --seed {wildcards.draw} --out {output:q}"
+
+
+rule stability_render:
+    input:
+        scenes=given_scenes,
+        targets=in_run(layout.TARGETS),
+        masks=in_run(layout.MASKS),
+        trained=trained,
+    output:
+        directory(in_run(layout.STABILITY_RENDERS)),
+    log:
+        in_run("logs/stability/{dataset}/{scene}/{group}/{label}.log"),
+        method=in_run("logs/stability/{dataset}/{scene}/{group}/{label}.method.log"),
+    benchmark:
+        in_run("benchmarks/stability/{dataset}/{scene}/{group}/{label}.tsv")
+    params:
+        entry=stability_arguments,
+        options=lambda wildcards: method_options(STABILITY_ENTRIES, wildcards),
+        code=method_code("stability"),
+    shell:
+        "geoevs --log {log[0]:q} stability-render {input.scenes:q} {params.entry}"
+        " --options {params.options:q} --targets {input.targets:q} --masks {input.masks:q}"
+        " --method-log {log.method:q} --out {output:q}"
+
+
+rule stability_score:
+    input:
+        stability_answers,
+        in_run(layout.STABILITY_RENDERS),
+    output:
+        in_run(layout.STABILITY_PART),
+    log:
+        in_run("logs/stability-score/{dataset}/{scene}/{group}/{label}.log"),
+    params:
+        entry=stability_arguments,
+        run=RUN,
+        code=code_hash("geoevs.protocol.stability_scoring", "geoevs.protocol.rows"),
+    shell:
+        "geoevs --log {log:q} stability-score --run {params.run:q}"
+        " --dataset {wildcards.dataset:q} --scene {wildcards.scene:q} {params.entry}"
+        " --out {output:q}"
+
+
+rule stability_scores:
+    input:
+        [
+            path.format(group=group, label=label)
+            for path in every_scene(
+                layout.STABILITY_PART.replace("{group}", "{{group}}").replace(
+                    "{label}", "{{label}}"
+                ),
+                STABILITY_SCENES,
+            )
+            for group in STABILITY_GROUPS
+            for label in STABILITY_ENTRIES
+        ],
+    output:
+        in_run(layout.STABILITY_SCORES),
+    log:
+        in_run("logs/stability-scores.log"),
+    shell:
+        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+
+
+rule stability_tables:
+    input:
+        in_run(layout.STABILITY_SCORES),
+    output:
+        STABILITY_FILES,
+    log:
+        in_run("logs/stability-tables.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        folder=lambda wildcards, output: Path(output[0]).parent,
+        code=code_hash("geoevs.results.stability"),
+    shell:
+        "geoevs --log {log:q} stability-table --scores {input:q} --settings {params.settings:q}"
+        " --out {params.folder:q}"
+
+
+rule stability_chart:
+    input:
+        in_run(layout.STABILITY_TABLE),
+    output:
+        [
+            in_run(layout.STABILITY_CHART) + suffix
+            for suffix in (".csv", ".png", ".html")
+        ],
+    log:
+        in_run("logs/stability-chart/{stressor}.log"),
+    params:
+        stem=in_run(layout.STABILITY_CHART),
+        code=code_hash("geoevs.results.stability_chart"),
+    shell:
+        "geoevs --log {log:q} stability-chart {wildcards.stressor} --table {input:q}"
+        " --out {params.stem:q}"
+
+
+rule stability:
+    input:
+        STABILITY_FILES,
+        expand(
+            in_run(layout.STABILITY_CHART) + "{suffix}",
+            stressor=STABILITY_CURVES,
+            suffix=(".csv", ".png", ".html"),
+        ),
