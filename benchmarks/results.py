@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,14 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
     return cost_frame(rows)
 
 
+def write_rows(count: int, parts: Path, costs: Path) -> None:
+    """Score rows as jobs leave them, one file a method, and cost rows."""
+    parts.mkdir()
+    for method, some in score_rows(count).groupby("method"):
+        some.to_parquet(parts / f"{method}.parquet", index=False)
+    cost_rows().to_parquet(costs, index=False)
+
+
 def measure(*arguments: str) -> tuple[float, float]:
     """Seconds and peak MB of a `geoevs` command."""
     command = [sys.executable, "-m", "geoevs.cli.main", *arguments]
@@ -111,12 +120,10 @@ def main() -> None:
         table.add_column(f"{count:,} rows", justify="right")
         with tempfile.TemporaryDirectory() as folder:
             parts, scores, costs = (Path(folder) / name for name in ("parts", "s", "c"))
-            parts.mkdir()
-            rows = score_rows(count)
-            for method, some in rows.groupby("method"):
-                some.to_parquet(parts / f"{method}.parquet", index=False)
-            cost_rows().to_parquet(costs, index=False)
-            del rows
+            # In another process: Linux counts what this one held to its children's peak.
+            writer = get_context("spawn").Process(target=write_rows, args=(count, parts, costs))
+            writer.start()
+            writer.join()
             files = [str(path) for path in sorted(parts.iterdir())]
             options = ("--scores", str(scores), "--settings", SETTINGS, "--out", f"{folder}/out")
             steps = {

@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 
 from geoevs.cli import main as cli
@@ -142,3 +143,21 @@ def test_a_stage_writes_what_the_next_one_reads(geoevs, tmp_path):
     assert (code, errors) == (0, "")
     assert (tmp_path / "r.npz").stat().st_size > 1000
     assert (tmp_path / "m.npz").stat().st_size > 1000
+
+
+def test_rows_of_many_jobs_become_one_file(geoevs, tmp_path):
+    frames = [pd.DataFrame({"a": ["x"] * count, "b": range(count)}) for count in (2, 0, 3)]
+    frames = [frame.astype({"a": "string", "b": "int64"}) for frame in frames]
+    parts = [tmp_path / f"{number}.parquet" for number in range(3)]
+    for part, frame in zip(parts, frames, strict=True):
+        frame.to_parquet(part, index=False)
+    assert geoevs("collect", *parts, "--out", tmp_path / "all.parquet") == (0, "", "")
+    found = pd.read_parquet(tmp_path / "all.parquet")
+    pd.testing.assert_frame_equal(found, pd.concat(frames, ignore_index=True))
+    frames[0].drop(columns="b").to_parquet(parts[2], index=False)
+    code, _, errors = geoevs("collect", *parts, "--out", tmp_path / "all.parquet")
+    assert code == 1
+    assert errors == (
+        f"error: {parts[2]} has other columns than {parts[0]}; delete it and make it again\n"
+    )
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "all.parquet"), found)

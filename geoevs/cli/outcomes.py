@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import parse_json, read_rows, scene_pairs
+from geoevs.errors import GeoEvsError
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
@@ -25,13 +26,26 @@ def collect(
     parts: Annotated[list[Path], typer.Argument(help="Parquet files with the same columns.")],
     out: Out,
 ) -> None:
-    """Put the rows of many jobs into one Parquet file, in the order given."""
-    import pandas as pd
+    """Put the rows of many jobs into one Parquet file, in the order given, one job at a time."""
+    import io
 
-    from geoevs.io import write_bytes
+    import pyarrow.parquet as pq
 
-    rows = pd.concat([read_rows(part) for part in parts], ignore_index=True)
-    write_bytes(out, rows.to_parquet(index=False))
+    from geoevs.io import whole_file, write_bytes
+
+    buffer = io.BytesIO()
+    with whole_file(parts[0]):
+        schema = pq.read_schema(parts[0])
+    with pq.ParquetWriter(buffer, schema) as writer:
+        for part in parts:
+            with whole_file(part):
+                rows = pq.read_table(part)
+            if not rows.schema.equals(schema):
+                raise GeoEvsError(
+                    f"{part} has other columns than {parts[0]}; delete it and make it again"
+                )
+            writer.write_table(rows)
+    write_bytes(out, buffer.getvalue())
 
 
 def table(

@@ -8,12 +8,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from statistics import NormalDist
 from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.stats import norm
 
 from geoevs.protocol.weights import missing_weights
 
@@ -100,7 +100,7 @@ def unbiased_mmd(
     total = sums.sum() - 2 * between.sum(axis=1) + np.diag(between)
     without = total / (left * (left - 1))
     spread = np.sqrt((len(names) - 1) * np.mean((without - without.mean()) ** 2))
-    reach = norm.ppf(0.5 + confidence / 2) * spread
+    reach = NormalDist().inv_cdf(0.5 + confidence / 2) * spread
     return Estimate(float(value), float(value - reach), float(value + reach))
 
 

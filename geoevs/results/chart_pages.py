@@ -21,9 +21,13 @@ KINDS = {"method": "circle", "control": "triangle-up"}
 COLOR = (
     alt.Color("name:N", title="Entrant (click one to see it alone)", sort=None)
     .scale(scheme="tableau20")
-    .legend(symbolLimit=0, columns=1)
+    .legend(symbolLimit=0, columns=6, orient="top")
 )
-SHAPE = alt.Shape("kind:N", title="Kind").scale(domain=list(KINDS), range=list(KINDS.values()))
+SHAPE = (
+    alt.Shape("kind:N", title="Kind")
+    .scale(domain=list(KINDS), range=list(KINDS.values()))
+    .legend(orient="top")
+)
 CHOSEN = alt.selection_point(fields=["name"], bind="legend")
 FADED = alt.when(CHOSEN).then(alt.value(0.9)).otherwise(alt.value(0.08))
 

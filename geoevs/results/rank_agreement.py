@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
+from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.formats import markdown_grid
 from geoevs.results.summary import redraw
@@ -86,7 +87,8 @@ def _agreement(
         return row
     values = cells[methods].to_numpy()
     means = values.mean(axis=0)
-    row["paper"], row["here"] = _order(methods, paper), _order(methods, means)
+    sign = 1 if METRICS[metric].higher_is_better else -1
+    row["paper"], row["here"] = _order(methods, sign * paper), _order(methods, sign * means)
     if len(methods) < 2:
         return row
     row["tau"] = kendalltau(paper, means).statistic
@@ -101,5 +103,5 @@ def _agreement(
 
 
 def _order(methods: list[str], values: np.ndarray) -> str:
-    """Names from best to worst; both tables' metrics rise."""
+    """Names from the highest value to the lowest."""
     return " > ".join(display_name(methods[n], "default") for n in np.argsort(-values))

@@ -12,8 +12,9 @@ from geoevs import layout
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, whole_file
 from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.tables import bin_names, make_table, table_rows, table_spec
+from geoevs.results.tables import TableSpec, bin_names, make_table, table_spec
 
 SHOWN = 3
 """How many of the worst and of the best views are named."""
@@ -60,17 +61,12 @@ def explain(cell: Cell, run: Path) -> list[str]:
     chosen = (table["method"] == method.method) & (table["variant"] == method.variant)
     row = table[chosen & (table["bin"] == label if spec.bins else True)].iloc[0]
     of_sets = cell.metric in SET_METRICS
-    file, rows = (
-        (layout.SET_SCORES, sets[sets["split"].isin(spec.splits)])
-        if of_sets
-        else (layout.SCORES, table_rows(spec, scores, settings))
-    )
+    file, rows = (layout.SET_SCORES, sets) if of_sets else (layout.SCORES, scores)
     wanted = {"dataset": dataset, "method": method.method, "variant": method.variant}
-    wanted |= {"metric": cell.metric} | ({} if of_sets else {"bin": label})
-    for column, value in wanted.items():
-        rows = rows[rows[column] == value]
-    del wanted["bin" if "bin" in wanted else "dataset"]
-    query = " and ".join(f'{column} == "{value}"' for column, value in wanted.items())
+    terms = [f'{name} == "{value}"' for name, value in [*wanted.items(), ("metric", cell.metric)]]
+    terms += _of_bin(spec, label, settings) if not of_sets else [f"split in {list(spec.splits)}"]
+    query = " and ".join(terms)
+    rows = rows.query(query)
     seeds = sorted(scores[scores["method"] == method.method]["seed"].unique())
     labels = [MethodEntry(method.method, method.variant, {}, int(seed)).label for seed in seeds]
     scenes = list(dict.fromkeys(scores["scene"]))
@@ -81,12 +77,11 @@ def explain(cell: Cell, run: Path) -> list[str]:
     ]
     return [
         *_value(cell, row),
-        f"rows      {len(rows)} in {run / file}:",
-        f"          {query} and split in {list(spec.splits)}",
+        f"rows      {len(rows)} in {run / file}, as pandas.DataFrame.query takes them:",
+        f"          {query}",
         *(_views(rows, run, dataset, cell.metric) if not of_sets else []),
         *_pictures(run, dataset, labels[0]),
-        f"config    methods.{method.label}: {manifest['config']['methods'].get(method.label)}",
-        f"          tables: {settings}",
+        *_config(manifest["config"], method.label),
         f"commit    {manifest['commit']}, seed {manifest['seed']}, "
         f"protocol {scores['fingerprint'].iloc[0]}",
         *(f"log       {path}" for path in _logs(run, dataset, scenes[0], labels[0])),
@@ -101,9 +96,33 @@ def _value(cell: Cell, row: pd.Series) -> Iterator[str]:
     printed = "" if paper is None or pd.isna(paper) else f"; the paper prints {paper:g}"
     place = f"{cell.table} {cell.entrant} {cell.metric} {cell.bin}".strip()
     yield f"cell      {place} = {value:.6g}{interval} on {row['dataset']}{printed}"
-    for text in (row["note"], row["unmeasured"]):
-        if text:
-            yield f"note      {text}"
+    reasons = [why for why in row["unmeasured"].split("; ") if why.startswith(f"{cell.metric}:")]
+    for text in filter(None, (row["note"], *reasons)):
+        yield f"note      {text}"
+
+
+def _of_bin(spec: TableSpec, label: str, settings: dict[str, Any]) -> list[str]:
+    """What a query asks of the rows that a table averages in one bin."""
+    stressors = ["", THINNING] if spec.edges == "support_bins" else [""]
+    plain = [f"stressor in {stressors}"]
+    if not spec.edges:
+        return [f"split in {[label] if spec.bins else list(spec.splits)}", *plain]
+    number = list(bin_names(spec, settings)).index(label)
+    low, high = settings[spec.edges][number : number + 2]
+    below = "<=" if high == settings[spec.edges][-1] else "<"
+    place = f"{spec.bins} >= {low} and {spec.bins} {below} {high}"
+    return [f"split in {list(spec.splits)}", place, *plain]
+
+
+def _config(config: dict[str, Any], label: str) -> Iterator[str]:
+    """The settings that the entrant, its training and the table had."""
+    method = config["methods"].get(label) or {}
+    yield f"config    methods.{label}: {method}"
+    if "training" in method:
+        common = {key: value for key, value in config["training"].items() if key != "variants"}
+        variant = config["training"]["variants"][method["training"]]
+        yield f"          training.{method['training']}: {common | variant}"
+    yield f"          tables: {config['tables']}"
 
 
 def _views(rows: pd.DataFrame, run: Path, dataset: str, metric: str) -> Iterator[str]:

@@ -87,7 +87,20 @@ def test_every_metric_that_is_printed_and_measured_has_a_row(rows):
         ("extrapolation", "sparse_ssim"),
         ("interpolation", "ssim"),
         ("interpolation", "psnr"),
+        ("interpolation", "lpips"),
     ]
+
+
+def test_orders_go_from_best_to_worst_where_less_is_better(rows):
+    lpips = {"split": "interpolation", "metric": "lpips"}
+    made = [
+        {**lpips, "method": "emernerf", "value": 0.1},
+        {**lpips, "method": "geo-evs", "value": 0.2},
+    ]
+    table = make_rank_agreement(rows(*made), SETTINGS).set_index("metric")
+    assert table.loc["lpips", "paper"] == "Geo-EVS > EmerNeRF"
+    assert table.loc["lpips", "here"] == "EmerNeRF > Geo-EVS"
+    assert table.loc["lpips", "tau"] == pytest.approx(-1)
 
 
 def test_markdown_says_tau_with_its_interval(rows):

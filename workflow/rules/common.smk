@@ -110,7 +110,7 @@ def of_dataset(pattern, dataset):
 
 
 def other_results(expected):
-    """Hashes of results that lie in the run besides the expected ones, which its report shows too."""
+    """Hashes of results in the run besides the expected ones: a report without them is remade."""
     found = [
         file
         for folder in Path(RUN).glob("[!.]*/")

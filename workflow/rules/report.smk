@@ -20,7 +20,7 @@ rule report:
     params:
         run=lambda wildcards, output: Path(output[0]).parent,
         others=lambda wildcards: other_results(
-            {*rules.tables.input, *rules.charts.input}
+            {*rules.tables.input, *rules.charts.input, in_run(layout.MASK_FIGURE)}
         ),
         code=code_hash("geoevs.results.report.page"),
     shell:

@@ -20,7 +20,7 @@ from geoevs.results.report.pictures import comparison, file_address
 from geoevs.results.report.words import summarise_run
 from geoevs.results.tables import TABLES, display_name, is_control
 
-PICTURE_BUDGET = 17_000_000
+PICTURE_BUDGET = 18_000_000
 """Bytes of the pictures to compare; with charts, tables and libraries a page stays below 25 MB."""
 
 LOG_TAIL = 6000

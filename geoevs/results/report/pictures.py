@@ -22,7 +22,7 @@ from geoevs.scenes.store import Scene
 WIDEST = 384
 """Pixels; wider pictures are shrunk to this."""
 
-QUALITIES = (80, 60, 40, 25)
+QUALITIES = (80, 60, 40)
 """Of WebP; the first that the budget allows is taken."""
 
 TRUTH, REFERENCE = "truth", "sparse reference"

@@ -77,7 +77,7 @@ def test_a_budget_lowers_quality_then_leaves_out_frames(run):
     ample = comparison(run, SCENES, ["grey"], 10**8)
     assert (ample["quality"], ample["every"]) == (80, 1)
     scarce = comparison(run, SCENES, ["grey"], 6000)
-    assert scarce["quality"] == 25
+    assert scarce["quality"] == 40
     assert scarce["every"] > 1
     assert {view["frame"] for view in scarce["views"]} == {0}
     assert len(scarce["views"]) < len(ample["views"])

@@ -1,8 +1,10 @@
 import re
 import shlex
 
+import pandas as pd
 import pytest
 
+from geoevs import layout
 from geoevs.errors import GeoEvsError
 from geoevs.results.why import Cell, explain
 
@@ -13,7 +15,7 @@ def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
     text = "\n".join(lines)
     # Two frames of four views each, 9 and 10 dB.
     assert lines[0] == "cell      extrapolation grey sparse_psnr = 9.5 [9, 10] on d"
-    assert f"rows      8 in {run}/scores.parquet:" in text
+    assert f"rows      8 in {run}/scores.parquet, as pandas" in text
     assert 'method == "grey" and variant == "default" and metric == "sparse_psnr"' in text
     lowest = re.findall(r"lowest +9: (\S+)", text)
     assert len(lowest) == 3
@@ -33,6 +35,26 @@ def test_the_named_pictures_exist(reported):
     assert paths
     for path in paths:
         assert (run / path).exists()
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell("extrapolation", "grey", "psnr"),
+        Cell("pose_offset", "grey", "psnr", "0-15"),
+        Cell("pose_offset", "grey", "psnr", "15-30"),
+        Cell("sparsity", "grey", "sparse_psnr", "0-0.1"),
+        Cell("masked", "grey", "psnr", "masked-observed"),
+    ],
+)
+def test_the_query_finds_the_rows_behind_the_number(reported, cell):
+    run, _ = reported
+    lines = explain(cell, run)
+    query = lines[[line.startswith("rows") for line in lines].index(True) + 1].strip()
+    rows = pd.read_parquet(run / layout.SCORES).query(query)
+    value = float(re.search(r" = (\S+) ", lines[0])[1])
+    assert rows.groupby(["scene", "frame"])["value"].mean().mean() == pytest.approx(value, rel=1e-5)
+    assert len(rows) == int(lines[1].split()[1])
 
 
 def test_the_papers_number_and_bins(reported):
