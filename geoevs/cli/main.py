@@ -37,7 +37,16 @@ def options(
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
     for commands in (
-        *("stages", "geometry", "conditions", "generator", "stability", "outcomes", "adapters"),
+        *(
+            "stages",
+            "geometry",
+            "conditions",
+            "generator",
+            "stability",
+            "audit",
+            "outcomes",
+            "adapters",
+        ),
     ):
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
     try:
