@@ -40,7 +40,7 @@ def _nothing() -> alt.VConcatChart:
 def _lines(rows: pd.DataFrame, what: str, title: str) -> alt.LayerChart:
     base = alt.Chart(rows).encode(
         x=alt.X("support:Q", title="support ratio (valid pixels / all pixels)").scale(type="log"),
-        color=alt.Color("metric:N", title=None),
+        color=alt.Color("metric:N", title=None).legend(symbolOpacity=1),
         detail="dataset:N",
     )
     line = base.mark_line(point=True).encode(
