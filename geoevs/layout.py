@@ -44,8 +44,13 @@ STABILITY_TABLE = "stability/stability.csv"
 BREAKING_POINTS = "stability/breaking_points"
 SEED_SPREAD = "stability/seed_spread.csv"
 STABILITY_CHART = "stability/{stressor}"
+AUDIT_PART = "audit/parts/{dataset}/{scene}.parquet"
+AUDIT_ROWS = "audit/rows.parquet"
+AUDIT_PAGE = "audit/audit.md"
+AUDIT_TABLE = "audit/{table}.csv"
+AUDIT_CHART = "audit/{chart}"
 
-RESULT_FOLDERS = {"tables", "figures", "charts", "stability"}
+RESULT_FOLDERS = {"tables", "figures", "charts", "stability", "audit"}
 DATA_FOLDERS = {
     pattern.split("/")[0]
     for name, pattern in list(vars().items())

@@ -19,16 +19,8 @@ app = typer.Typer(
     "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
 )
 COMMANDS = (
-    *(
-        "stages",
-        "geometry",
-        "conditions",
-        "generator",
-        "freevs",
-        "stability",
-        "outcomes",
-        "adapters",
-    ),
+    *("stages", "geometry", "conditions", "generator", "freevs", "stability", "audit"),
+    *("outcomes", "adapters"),
 )
 _log: Path | None = None
 

@@ -25,6 +25,9 @@ COLUMNS = [
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""
 
+ROUNDING = 1e-9
+"""By so much the floor's own mean may differ from its values."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -62,7 +65,7 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
             values = here["value"].dropna()
             low, high = _ends(curve.samples[:, number], tail)
             bar = here.merge(floor, on=VIEW[:-1], how="left")
-            below = (bar["value"] < bar["floor"]) | (bar["status"] == FAILED)
+            below = (bar["value"] < bar["floor"] - ROUNDING) | (bar["status"] == FAILED)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
                 {

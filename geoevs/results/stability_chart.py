@@ -38,7 +38,7 @@ def stability_curves(rows: pd.DataFrame, stressor: str) -> alt.VConcatChart:
     for (dataset, metric), shown in rows.groupby(["dataset", "metric"], sort=False):
         base = alt.Chart(shown).encode(
             x=alt.X("severity:N", title=STRESSORS[stressor].title, sort=order).axis(labelAngle=0),
-            color=alt.Color("name:N", title=None),
+            color=alt.Color("name:N", title=None).legend(symbolOpacity=1),
         )
         line = base.mark_line(point=True).encode(
             y=alt.Y("mean:Q", title=PANELS[metric]).scale(zero=False),

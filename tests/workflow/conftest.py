@@ -15,7 +15,8 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
-    EVERYTHING = ("tables", "breakdowns", "conditions", "stability")
+    RESUMED = ("tables", "breakdowns", "conditions")
+    EVERYTHING = (*RESUMED, "stability", "audit")
     SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:

@@ -1,0 +1,131 @@
+"""The audit in words, every number of them from its tables."""
+
+import math
+
+import pandas as pd
+
+from geoevs.results.formats import markdown_grid
+from geoevs.results.tables import display_name
+
+RANKS_WELL = 0.8
+"""The tau from which on methods are said to be ranked well: nine of ten pairs in the same order."""
+
+
+def audit_markdown(tables: dict[str, pd.DataFrame]) -> str:
+    """One page: when to trust the sparse metric, then what stands behind each sentence.
+
+    Args:
+        tables: what `audit_tables` made, by name.
+    """
+    parts = ["# The metric on trial\n"]
+    for dataset in tables["ceiling"]["dataset"].unique():
+        mine = {
+            name: table[table["dataset"] == dataset] if len(table) else table
+            for name, table in tables.items()
+        }
+        parts.append(f"## {dataset}: When sparse PSNR can be trusted\n")
+        parts += [f"- {sentence}" for sentence in _verdicts(mine)]
+        parts.append("")
+        if len(mine["agreement"]):
+            parts.append(_agreement_grid(mine["agreement"]) + "\n")
+    return "\n".join(parts)
+
+
+def _verdicts(tables: dict[str, pd.DataFrame]) -> list[str]:
+    said = []
+    if len(tables["agreement"]):
+        said += _ranking(tables["agreement"])
+        said += _support(tables["support_bias"])
+        said += _wrong_pixels(tables["reference_errors"])
+    said += _ceiling(tables["ceiling"])
+    if len(tables["conditioning_gain"]):
+        said += _gain(tables["conditioning_gain"])
+    return said
+
+
+def _ranking(table: pd.DataFrame) -> list[str]:
+    rows = table[table["metric"] == "sparse_psnr"].set_index("share")
+    whole, thin = rows.loc[rows.index.max()], rows.loc[rows.index.min()]
+    well = "It ranks" if whole["tau_low"] >= RANKS_WELL else "It does not surely rank"
+    gap = "no difference in one frame was large enough to be trusted"
+    thin_gap = "no difference was"
+    if not math.isnan(whole["gap"]):
+        gap = f"entrants {whole['gap']:.1f} dB apart in one frame are in dense PSNR's order 19 "
+        gap += "times in 20"
+    if not math.isnan(thin["gap"]):
+        thin_gap = f"it takes {thin['gap']:.1f} dB"
+    return [
+        f"**Ranks.** {well} {whole['entrants']:.0f} entrants as dense PSNR does: Kendall's tau is "
+        f"{_interval(whole, 'tau')} at a support of {whole['support']:.3f}, and "
+        f"{_interval(thin, 'tau')} at {thin['support']:.4f}.",
+        f"**Gaps.** At a support of {whole['support']:.3f}, {gap}; at {thin['support']:.4f}, "
+        f"{thin_gap}.",
+        f"**Level.** It is not dense PSNR: it lies {_interval(whole, 'bias')} dB from it.",
+    ]
+
+
+def _support(table: pd.DataFrame) -> list[str]:
+    bias = table.set_index(["metric", "share"])["mean"]
+    least = table["share"].min()
+    some = min(table["share"], key=lambda share: abs(share - 0.05))
+    return [
+        f"**Support alone.** On random pixels of the truth, at a support of {least:g}, sparse PSNR "
+        f"is off by {bias['sparse_psnr', least]:+.2f} dB. At {some:g}, normalised sparse SSIM is "
+        f"off by {bias['sparse_ssim', some]:+.3f}, the zero-filled reading by "
+        f"{bias['sparse_ssim_zero_fill', some]:+.3f}."
+    ]
+
+
+def _wrong_pixels(table: pd.DataFrame) -> list[str]:
+    mean = table.set_index("metric")["mean"]
+    kinds = ("wrong", "leak", "colour")
+    pixel, footprint = (
+        [f"{100 * mean[f'{rule}_{kind}']:.1f} %" for kind in kinds]
+        for rule in ("pixel", "footprint")
+    )
+    return [
+        f"**Wrong pixels.** {pixel[0]} of the reference's pixels are wrong: {pixel[1]} background "
+        f"that leaks through, {pixel[2]} coloured across an occlusion edge. Under the footprint "
+        f"rule {footprint[0]} are: {footprint[1]} and {footprint[2]}.",
+        f"**Best score.** The truth itself scores {mean['pixel_psnr']:.1f} dB against the "
+        f"reference, {mean['pixel_psnr_right']:.1f} dB on the pixels that are not wrong. Scores "
+        "near that say nothing.",
+    ]
+
+
+def _ceiling(table: pd.DataFrame) -> list[str]:
+    rows = table[table["metric"] == "sparse_psnr"].set_index("target")
+    cameras = ", ".join(f"{camera} {mean:.1f}" for camera, mean in rows["mean"].items())
+    return [
+        "**Noise ceiling.** Photos of recorded cameras score, against LiDAR that the other cameras "
+        f"coloured, in dB: {cameras}. Where cameras overlap, expect no more of a method."
+    ]
+
+
+def _gain(table: pd.DataFrame) -> list[str]:
+    rows = table.rename(columns={"mean": "gain", "low": "gain_low", "high": "gain_high"})
+    most = rows.loc[rows["gain"].idxmax()]
+    return [
+        f"**Leaks.** Scored on the points that it may read, "
+        f"{display_name(most['method'], most['variant'])} gains {_interval(most, 'gain')} dB over "
+        f"the split that keeps them apart; the median entrant gains {rows['gain'].median():+.2f}."
+    ]
+
+
+def _interval(row: pd.Series, name: str) -> str:
+    ends = f"{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}"
+    return f"{row[name]:.2f} [{ends}]"
+
+
+def _agreement_grid(table: pd.DataFrame) -> str:
+    body = [
+        [
+            row["metric"],
+            f"{row['support']:.4f}",
+            _interval(row, "bias"),
+            _interval(row, "tau"),
+            "" if math.isnan(row["gap"]) else f"{row['gap']:.2g}",
+        ]
+        for _, row in table.iterrows()
+    ]
+    return markdown_grid(["metric", "support", "bias", "tau", "trusted gap in a frame"], body)

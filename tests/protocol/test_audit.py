@@ -1,0 +1,86 @@
+"""The audit's rows, on the tiny scene whose truth is a closed form."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoevs import layout
+from geoevs.io import write_arrays, write_image, write_json
+from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
+from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import References
+from geoevs.protocol.targets import write_targets
+from geoevs.protocol.truth import dense_truth
+from geoevs.scenes.tiny import tiny_truth
+
+PLACE = {"dataset": "d", "scene": "tiny"}
+FINE = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
+FINE |= {"peak_memory": 0, "gpu_memory": 0}
+
+
+@pytest.fixture(scope="module")
+def rows(stage, tmp_path_factory):
+    """Rows of a perfect method, of one that is 0.1 brighter, and of one that failed."""
+    run = tmp_path_factory.mktemp("run")
+    targets = [t for t in stage.targets if t.split == "extrapolation" and t.frame == 0]
+    write_targets(run / layout.TARGETS.format(**PLACE), targets)
+    stored = References(stage.evidence.references)
+    write_records(run / layout.REFERENCES.format(**PLACE), {t.key: stored[t.key] for t in targets})
+    for pattern, name in ((layout.SCENE, "scene"), (layout.TRUTH, "truth")):
+        path = run / pattern.format(**PLACE)
+        path.parent.mkdir(parents=True)
+        path.symlink_to(stage.folder / name)
+    depths = {n: tiny_truth(stage.store.camera(n, 0)).depth for n in stage.store.cameras}
+    write_arrays(run / layout.DEPTHS.format(**PLACE) / "000000.npz", depths)
+    for method, status in (("perfect", "ok"), ("bright", "ok"), ("gone", "failed")):
+        renders = run / layout.RENDERS.format(label=method, **PLACE)
+        write_json(renders / "render.json", {"all-cameras": {**FINE, "status": status}})
+        for target in targets:
+            truth = dense_truth(stage.store, stage.folder / "truth", target)
+            write_image(renders / f"{target.key}.png", truth + 0.1 * (method == "bright"))
+    entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
+    return pd.DataFrame(audit_rows(run, "d", "tiny", entries, seed=0))
+
+
+def test_every_metric_stands_beside_its_twin(rows):
+    judged = rows[(rows["part"] == "agreement") & (rows["method"] == "bright")]
+    assert set(judged["metric"]) <= set(TWINS)
+    assert set(judged["share"]) == set(SHARES)
+    assert judged[judged["metric"] == "sparse_psnr"]["dense"].to_numpy() == pytest.approx(
+        20, abs=0.2
+    )
+    support = judged[judged["metric"] == "sparse_psnr"].groupby("share")["support_ratio"].mean()
+    assert support[0.1] == pytest.approx(support[1.0] / 10, rel=0.1)
+    assert "gone" not in set(rows["method"])
+
+
+def test_support_alone_hardly_moves_psnr_but_inflates_zero_filled_ssim(rows):
+    judged = rows[(rows["part"] == "random-support") & (rows["method"] == "bright")]
+    bias = judged.assign(bias=judged["value"] - judged["dense"]).pivot_table(
+        "bias", "metric", "share"
+    )
+    assert list(bias.columns) == sorted(SUPPORTS)
+    assert bias[1.0].abs().max() < 1e-9
+    assert abs(bias[0.05]["sparse_psnr"]) < 0.3
+    assert bias[0.01]["sparse_ssim_zero_fill"] > abs(bias[0.2]["sparse_ssim"])
+
+
+def test_wrong_pixels_are_few_and_cost_what_they_cost(rows):
+    found = rows[rows["part"] == "reference"].groupby("metric")["value"].mean()
+    assert 0 < found["pixel_wrong"] < 0.3
+    assert found["footprint_leak"] <= found["pixel_leak"] <= found["pixel_wrong"]
+    assert found["pixel_psnr_right"] > found["pixel_psnr"]
+
+
+def test_photos_agree_with_what_other_cameras_coloured(rows):
+    found = rows[(rows["part"] == "ceiling") & (rows["metric"] == "sparse_psnr")]
+    assert set(found["target"]) == {"front", "left", "right"}
+    assert (found["value"] > 25).all()  # the room is matt, its texture smooth
+    assert (found["pixels"] > 0).all()
+
+
+def test_a_method_that_reads_no_point_gains_nothing_by_them(rows):
+    found = rows[rows["part"] == "conditioning"]
+    bright = found[found["method"] == "bright"]
+    assert np.abs(bright["value"] - bright["dense"]).max() < 0.5
