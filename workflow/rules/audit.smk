@@ -33,7 +33,7 @@ rule audit_scene:
     benchmark:
         in_run("benchmarks/audit/{dataset}/{scene}.tsv")
     params:
-        run=RUN,
+        run=lambda wildcards, output: RUN,
         entrants=json.dumps(
             [[entry.method, entry.variant, entry.seed] for entry in ENTRIES.values()]
         ),
