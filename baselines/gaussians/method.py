@@ -56,7 +56,7 @@ class GaussianMethod:
         """Train what `prepare` makes of the photographs: nodes, their extents, a loss, notes."""
         until = time.monotonic() + (float("inf") if budget.seconds is None else budget.seconds)
         from baselines.gaussians.gsplat_backend import usable_device
-        from baselines.gaussians.size import HELD_OUT, MOST, SizeChoice
+        from baselines.gaussians.size import HELD_OUT, MOST, STARTING, SizeChoice
         from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
 
         photos = photos_of(views, usable_device())
@@ -67,7 +67,8 @@ class GaussianMethod:
                 choice = SizeChoice(self.iterations)
             else:
                 notes.append(f"{len(photos)} views are too few to choose a size by")
-        strategy = make_strategy(self.densification, self.gaussians or MOST, self.iterations)
+        cap = self.gaussians or (MOST if choice else STARTING)
+        strategy = make_strategy(self.densification, cap, self.iterations)
         trainer = Trainer(self._graph, self.iterations, extents, strategy, own_loss, rng.torch)
         title = f"{self.info.name} of {views.scene_name}"
         with training_bar(title, self.iterations) as report:
