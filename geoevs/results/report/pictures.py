@@ -63,32 +63,41 @@ def comparison(
 
     Returns:
         `images`, a list of addresses; `views`, one dictionary a target, with its names and the
-        numbers of its pictures in that list; `quality` of the pictures, and `every`: the page has
-        each so-manieth frame.
+        numbers of its pictures in that list; `quality` of the pictures; `frames` and `all_frames`:
+        how many of the run's frames the page has.
     """
     views = [
         View(dataset, scene, target, run)
         for dataset, scene in scenes
         for target in read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
     ]
-    quality, every = _fit(views, labels, budget)
-    kept = _thinned(views, every)
+    quality, share = _fit(views, labels, budget)
+    kept = _thinned(views, share)
     images: dict[str, int] = {}
     shown = [view for scene in scenes for view in _shown(kept, scene, labels, quality, images)]
-    return {"images": list(images), "views": shown, "quality": quality, "every": every}
+    frames, all_frames = (
+        len({(view.dataset, view.scene, view.target.frame) for view in some})
+        for some in (kept, views)
+    )
+    counts = {"frames": frames, "all_frames": all_frames}
+    return {"images": list(images), "views": shown, "quality": quality, **counts}
 
 
-def _thinned(views: list[View], every: int) -> list[View]:
-    """The views of each scene's every so-manieth frame."""
+def _thinned(views: list[View], share: float) -> list[View]:
+    """The views of a share of each scene's frames, evenly spaced, of one at least."""
     frames: dict[tuple[str, str], list[int]] = {}
     for view in views:
         frames.setdefault((view.dataset, view.scene), []).append(view.target.frame)
-    kept = {place: set(sorted(set(some))[::every]) for place, some in frames.items()}
+    kept = {}
+    for place, found in frames.items():
+        some = sorted(set(found))
+        count = max(1, int(share * len(some)))
+        kept[place] = {some[k * len(some) // count] for k in range(count)}
     return [view for view in views if view.target.frame in kept[(view.dataset, view.scene)]]
 
 
-def _fit(views: list[View], labels: Sequence[str], budget: int) -> tuple[int, int]:
-    """The best quality, and the fewest frames left out, that a sample says will fit."""
+def _fit(views: list[View], labels: Sequence[str], budget: int) -> tuple[int, float]:
+    """The best quality, and the largest share of frames, that a sample says will fit."""
     files = [path for view in views for label in labels if (path := view.render(label)).exists()]
     sample = files[:: max(1, len(files) // 48)]
     pictures = [read_image(path) for path in sample]
@@ -98,8 +107,8 @@ def _fit(views: list[View], labels: Sequence[str], budget: int) -> tuple[int, in
         # Truth, evidence and overlay come to about two more pictures a view.
         needed = float(mean) * (len(files) + 2 * len(views))
         if needed <= budget:
-            return quality, 1
-    return QUALITIES[-1], int(np.ceil(needed / budget))
+            return quality, 1.0
+    return QUALITIES[-1], budget / needed
 
 
 def _shown(
