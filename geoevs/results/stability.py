@@ -22,6 +22,9 @@ COLUMNS = [
     *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
     *("mean", "low", "high", "relative_degradation", "worst_decile", "failure_rate", "n"),
 ]
+BREAKING_COLUMNS = [
+    *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead"),
+]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""
 
@@ -186,7 +189,7 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
             row = {"dataset": dataset, "method": method, "variant": variant}
             row |= {"stressor": stressor, "metric": metric}
             table.append(row | _breaking_point(curve, controls, settings["confidence"]))
-    return pd.DataFrame(table)
+    return pd.DataFrame(table, columns=BREAKING_COLUMNS)
 
 
 def _breaking_point(
