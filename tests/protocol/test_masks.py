@@ -171,7 +171,14 @@ def test_each_part_is_scored_by_itself(scored, masked):
     unsupported = pixels["psnr_removed"] + pixels["psnr_never"]
     np.testing.assert_array_equal(pixels["psnr_unsupported"], unsupported)
     np.testing.assert_array_equal(pixels["psnr"], unsupported + pixels["psnr_supported"])
-    dense = {"psnr", "ssim", "mae", *(f"psnr_{part}" for part in ("supported", "removed"))}
+    dense = {
+        "psnr",
+        "ssim",
+        "mae",
+        "gms",
+        "lpips",
+        *(f"psnr_{part}" for part in ("supported", "removed")),
+    }
     dense |= {"psnr_never", "psnr_unsupported"}
     metrics = {split: set(group["metric"]) for split, group in rows.groupby("split")}
     assert metrics == {
