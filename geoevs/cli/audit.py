@@ -48,7 +48,7 @@ def audit_page(
     from geoevs.results.audit import audit_tables
     from geoevs.results.audit_chart import agreement_chart, support_chart
     from geoevs.results.audit_page import audit_markdown
-    from geoevs.results.charts import chart_html, chart_png
+    from geoevs.results.chart_pages import page_html, page_png
 
     tables = audit_tables(read_rows(rows), parse_json("--settings", settings))
     for name, table in tables.items():
@@ -56,6 +56,6 @@ def audit_page(
     charts = {"agreement": agreement_chart, "support_bias": support_chart}
     for name, draw in charts.items():
         drawn = draw(tables[name])
-        write_bytes(out / f"{name}.png", chart_png(drawn))
-        write_text(out / f"{name}.html", chart_html(drawn))
+        write_bytes(out / f"{name}.png", page_png(drawn))
+        write_text(out / f"{name}.html", page_html(drawn))
     write_text(out / "audit.md", audit_markdown(tables))

@@ -8,7 +8,7 @@ from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS
 from geoevs.results.audit import agreement, audit_tables, conditioning_gain
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.audit_page import audit_markdown
-from geoevs.results.charts import chart_png
+from geoevs.results.chart_pages import page_png
 
 SETTINGS = {"resamples": 100, "confidence": 0.9}
 FRAMES = range(4)
@@ -108,11 +108,11 @@ def test_without_truth_it_speaks_of_the_ceiling_alone(rows):
     page = audit_markdown(tables)
     assert "Noise ceiling" in page
     assert "Ranks" not in page
-    assert chart_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
-    assert chart_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")
+    assert page_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
+    assert page_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")
 
 
 def test_charts_are_drawn(rows):
     tables = audit_tables(rows, SETTINGS)
-    assert chart_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
-    assert chart_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")
+    assert page_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
+    assert page_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")

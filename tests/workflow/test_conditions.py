@@ -10,7 +10,7 @@ from geoevs.io import read_image
 
 OTHER = """\
 datasets:
-  street-train: {partitions: {validation: [straight-501], geometry: [straight-502]}}
+  street-train: {partitions: {validation: [straight-701], geometry: [straight-702]}}
   other:
     source: street
     options: {frames: 2}
@@ -33,7 +33,7 @@ def test_pairs_and_masks_are_of_every_data_sets_training_scenes(workspace):
     scenes = re.findall(r"rule scene:\n +output: results/smoke/scenes/(\S+),", text)
     # The picture alone looks at the test scene; geometry is learned apart.
     assert sorted(scenes) == [
-        *("other/curve-601", "street-train/straight-301", "street-train/straight-502"),
+        *("other/curve-601", "street-train/straight-301", "street-train/straight-702"),
         "street/junction-201",
     ]
 
