@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from baselines.emernerf.adapter import Method
-from benchmarks.projection import machine
+from benchmarks.projection import processor
 from geoevs.adapter import Budget, Rng, Views
 from geoevs.projection import colour_points, unproject_depth
 from geoevs.scenes.scene import Frame, SceneRef, load_source
@@ -93,7 +93,7 @@ def measure_scene(name: str, folder: Path) -> list[float]:
 def main() -> None:
     """Print one row a street."""
     console = Console()
-    console.print(machine())
+    console.print(processor())
     names = ("dB, all pixels", "dB, still pixels", "AbsRel", "IoU of motion", "fit s", "view s")
     table = Table("street", *names, title="frame 4 held out, 128 x 192, 8 frames, 5 cameras")
     with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from baselines.emernerf.hash_grid import HashGrid
 from baselines.emernerf.hash_grid_reference import hash_encode_reference
-from benchmarks.projection import machine, measure
+from benchmarks.projection import measure, processor
 
 POINTS = 65_536
 LEVELS = 8
@@ -67,7 +67,7 @@ def compare(dims: int, moving: bool) -> Table:
 def main() -> None:
     """Print one table for space, and one for space and time."""
     console = Console()
-    console.print(machine())
+    console.print(processor())
     console.print(compare(3, moving=False))
     console.print(compare(4, moving=True))
 
