@@ -9,13 +9,9 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The workflow's tests share a run and take longest: one process begins with them."""
-    for item in items:
-        if "workflow" in item.path.parts:
-            item.add_marker(pytest.mark.xdist_group("workflow"))
-    items.sort(key=lambda item: "workflow" not in item.path.parts)
+    """The smoke run's tests take longest: where two processes share the files, one begins there."""
+    items.sort(key=lambda item: item.path.name != "test_smoke.py")
 
 
 @pytest.fixture

@@ -2,12 +2,6 @@
 
 import re
 
-import numpy as np
-
-from geoevs.conditions.masks import read_masks
-from geoevs.conditions.pairs import read_pairs
-from geoevs.io import read_image
-
 OTHER = """\
 datasets:
   street-train: {partitions: {validation: [straight-701], geometry: [straight-702]}}
@@ -48,17 +42,3 @@ def test_a_run_without_training_scenes_says_what_to_name(workspace):
     assert run.returncode != 0
     sentence = "holds no masks; name training scenes under partitions.train of a data set"
     assert f"error: the mask library {sentence}" in run.stderr
-
-
-def test_the_smoke_runs_conditions(smoke_run):
-    workspace, run = smoke_run
-    assert run.returncode == 0, run.stderr[-3000:]
-    results = workspace.folder / "results/smoke"
-    pairs = read_pairs([results / "pairs/street-train/straight-301.npz"])
-    assert pairs.target.shape == (10, 64, 96, 3)
-    library = read_masks(results / "artifact-masks/library.npz")
-    # Two frames at two shifts: straight ahead, and half-way to both sides.
-    assert len(library) == 2 * 2 * 3
-    assert set(library.scene) == set(pairs.scene) == {"straight-301"}
-    assert np.all((library.support > 0.5) & (library.support < 1))
-    assert read_image(results / "figures/artifact-masks.png").std() > 10

@@ -1,17 +1,14 @@
 """VGGT in the DAG: fine-tuned on its own scenes, scored before and after, pretrained apart."""
 
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from geoevs.generator.prior import load_prior
 from geoevs.geometry.refinement import NANO_CHANNELS
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
 from geoevs.io import read_json
-from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.results.manifest import hash_path
 
 
@@ -23,36 +20,6 @@ def rules(plan) -> list[str]:
 def plan(workspace, overlay, *arguments):
     (workspace.folder / "overlay.yaml").write_text(overlay)
     return workspace.snakemake(*workspace.SMOKE, "overlay.yaml", "-n", *arguments)
-
-
-def test_the_smoke_fine_tunes_and_scores(smoke_run):
-    workspace, run = smoke_run
-    assert run.returncode == 0, run.stderr[-3000:]
-    results = workspace.folder / "results/smoke"
-    before = load_vggt(workspace.folder / "weights/vggt-nano.safetensors")
-    after = load_vggt(results / "geometry/vggt.safetensors")
-    assert after.config == before.config
-    losses = np.loadtxt(results / "training/vggt/losses.csv", delimiter=",", skiprows=1)
-    assert len(losses) == 4
-
-    rows = pd.read_parquet(results / "depth-scores.parquet")
-    assert list(rows.columns) == list(DEPTH_SCORE_TYPES)
-    # Two frames of five cameras, in three metrics.
-    counts = rows.groupby(["model", "stage", "scale"]).size().to_dict()
-    network = [("vggt-nano", stage) for stage in ("fine-tuned", "pretrained")]
-    assert counts == {
-        ("lidar", "control", "lidar"): 30,
-        **{(*entrant, scale): 30 for entrant in network for scale in ("lidar", "none")},
-    }
-    assert set(rows["scene"]) == {"junction-201"}
-    assert set(rows["truth"]) == {"dense"}
-
-    table = pd.read_csv(results / "tables/geometry.csv").set_index(["stage", "scale"])
-    assert table["abs_rel_change"].notna().sum() == 2
-    # LiDAR mends what four steps cannot.
-    assert table.loc[("fine-tuned", "lidar"), "abs_rel"] < table["abs_rel"]["pretrained", "none"]
-    assert table["abs_rel"].idxmin() == ("control", "lidar")
-    assert (results / "tables/geometry.tex").stat().st_size > 300
 
 
 def test_point_maps_come_from_the_fine_tuned_network(workspace):
@@ -94,18 +61,6 @@ def test_lidar_needs_no_network(workspace):
     assert "--pretrained" not in text
     assert "--geometry-weights" not in text
     assert not re.search(r"point-maps .* --weights", text)
-
-
-def test_other_starting_weights_fine_tune_again(smoke_run, tmp_path):
-    workspace, _ = smoke_run
-    weights = shutil.copytree(workspace.folder / "weights", tmp_path / "other")
-    with (weights / "vggt-nano.safetensors").open("ab") as file:
-        file.write(b" ")
-    overlay = workspace.folder / "moved.yaml"
-    overlay.write_text(f"weights: {tmp_path / 'other'}\n")
-    made = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "moved.yaml", "-n", "--", "tables")
-    assert {"finetune_geometry", "depth_scores_of_scene", "geometry_table"} <= set(rules(made))
-    assert not {"scene", "truth", "references"} & set(rules(made))
 
 
 def test_missing_weights_are_one_sentence(workspace):

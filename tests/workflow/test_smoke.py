@@ -2,6 +2,7 @@ import os
 import random
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from geoevs.conditions.masks import read_masks
+from geoevs.conditions.pairs import read_pairs
+from geoevs.geometry.vggt import load_vggt
 from geoevs.io import read_image, read_json
+from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.results.tables import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
@@ -66,6 +71,50 @@ def test_the_whole_dag_runs(smoke_run):
     manifest = read_json(results / "manifest.json")
     assert {Path(name).name for name in manifest["inputs"]} >= {"junction-201", "prior.safetensors"}
     assert manifest["configfiles"][:2] == ["config.yaml", "workflow/scales/smoke.yaml"]
+
+
+def test_it_makes_pairs_and_masks(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke"
+    pairs = read_pairs([results / "pairs/street-train/straight-301.npz"])
+    assert pairs.target.shape == (10, 64, 96, 3)
+    library = read_masks(results / "artifact-masks/library.npz")
+    # Two frames at two shifts: straight ahead, and half-way to both sides.
+    assert len(library) == 2 * 2 * 3
+    assert set(library.scene) == set(pairs.scene) == {"straight-301"}
+    assert np.all((library.support > 0.5) & (library.support < 1))
+    assert read_image(results / "figures/artifact-masks.png").std() > 10
+
+
+def test_it_fine_tunes_and_scores_depth(smoke_run):
+    workspace, run = smoke_run
+    assert run.returncode == 0, run.stderr[-3000:]
+    results = workspace.folder / "results/smoke"
+    before = load_vggt(workspace.folder / "weights/vggt-nano.safetensors")
+    after = load_vggt(results / "geometry/vggt.safetensors")
+    assert after.config == before.config
+    losses = np.loadtxt(results / "training/vggt/losses.csv", delimiter=",", skiprows=1)
+    assert len(losses) == 4
+
+    rows = pd.read_parquet(results / "depth-scores.parquet")
+    assert list(rows.columns) == list(DEPTH_SCORE_TYPES)
+    # Two frames of five cameras, in three metrics.
+    counts = rows.groupby(["model", "stage", "scale"]).size().to_dict()
+    network = [("vggt-nano", stage) for stage in ("fine-tuned", "pretrained")]
+    assert counts == {
+        ("lidar", "control", "lidar"): 30,
+        **{(*entrant, scale): 30 for entrant in network for scale in ("lidar", "none")},
+    }
+    assert set(rows["scene"]) == {"junction-201"}
+    assert set(rows["truth"]) == {"dense"}
+
+    table = pd.read_csv(results / "tables/geometry.csv").set_index(["stage", "scale"])
+    assert table["abs_rel_change"].notna().sum() == 2
+    # LiDAR mends what four steps cannot.
+    assert table.loc[("fine-tuned", "lidar"), "abs_rel"] < table["abs_rel"]["pretrained", "none"]
+    assert table["abs_rel"].idxmin() == ("control", "lidar")
+    assert (results / "tables/geometry.tex").stat().st_size > 300
 
 
 def test_scores_order_the_controls(smoke_run):
@@ -220,6 +269,18 @@ def test_another_bootstrap_remakes_tables_alone(smoke_run):
     assert "rule table:" in text
     for rule in ("scene", "fit", "render", "score", "truth", "references", "masks"):
         assert f"rule {rule}:" not in text
+
+
+def test_other_starting_weights_fine_tune_again(smoke_run, tmp_path):
+    workspace, _ = smoke_run
+    weights = shutil.copytree(workspace.folder / "weights", tmp_path / "other")
+    with (weights / "vggt-nano.safetensors").open("ab") as file:
+        file.write(b" ")
+    overlay = workspace.folder / "moved.yaml"
+    overlay.write_text(f"weights: {tmp_path / 'other'}\n")
+    made = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "moved.yaml", "-n", "--", "tables")
+    assert {"finetune_geometry", "depth_scores_of_scene", "geometry_table"} <= set(rules(made))
+    assert not {"scene", "truth", "references"} & set(rules(made))
 
 
 def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
