@@ -240,7 +240,6 @@ class SSIMZeroFill(SSIM):
 
 
 GMS_STABILITY = 0.0026
-_PREWITT = np.array([[1.0, 0.0, -1.0]] * 3) / 3
 
 
 class GMS(MaskedMean):
@@ -260,22 +259,29 @@ class GMS(MaskedMean):
         x, y = (self._gradients(np.where(mask[..., None], image, 0)) for image in (preds, target))
         stability = GMS_STABILITY * self.data_range**2
         similarity = (2 * x * y + stability) / (x * x + y * y + stability)
-        whole = cv2.erode(_halve(mask.astype(np.float32)), np.ones((3, 3)), borderValue=0.0) == 1
+        valid = (_sum_of_halves(mask.astype(np.uint8)) == 4).astype(np.uint8)
+        whole = cv2.erode(valid, np.ones((3, 3)))[1:-1, 1:-1] == 1
         self.total += _sum(similarity[whole])
         self.count += int(whole.sum())
 
     @staticmethod
     def _gradients(image: np.ndarray) -> np.ndarray:
-        """(H // 2, W // 2) gradient magnitudes of the halved luma."""
-        luma = _halve(cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3)))
-        return cv2.magnitude(*(cv2.filter2D(luma, cv2.CV_32F, k) for k in (_PREWITT, _PREWITT.T)))
+        """(H // 2 - 2, W // 2 - 2) Prewitt magnitudes of the halved luma, off its border.
+
+        In NumPy: the last bits of OpenCV's filters depend on where an image lies in memory.
+        """
+        luma = _sum_of_halves(image.mean(axis=-1, dtype=np.float64)) / 4
+        down = luma[:-2] + luma[1:-1] + luma[2:]
+        across = luma[:, :-2] + luma[:, 1:-1] + luma[:, 2:]
+        dx, dy = (down[:, :-2] - down[:, 2:]) / 3, (across[:-2] - across[2:]) / 3
+        return np.sqrt(dx * dx + dy * dy)
 
 
-def _halve(image: np.ndarray) -> np.ndarray:
-    """Means of 2 x 2 pixels of (H, W); an odd last row or column is dropped."""
-    height, width = (side // 2 for side in image.shape)
-    whole = image[: 2 * height, : 2 * width]
-    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+def _sum_of_halves(image: np.ndarray) -> np.ndarray:
+    """Sums of 2 x 2 pixels of (H, W); an odd last row or column is dropped."""
+    height, width = (2 * (side // 2) for side in image.shape)
+    whole = image[:height, :width]
+    return whole[::2, ::2] + whole[1::2, ::2] + whole[::2, 1::2] + whole[1::2, 1::2]
 
 
 class LPIPS(MaskedMean):
