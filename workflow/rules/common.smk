@@ -92,7 +92,7 @@ def every_scene(pattern, scenes=TEST_SCENES):
 
 def config_files():
     """The files that the config was merged from, as they were named if they lie here."""
-    paths = [Path(file).resolve() for file in workflow.configfiles]
+    paths = [Path(file).absolute() for file in workflow.configfiles]
     here = Path.cwd()
     return [
         str(path.relative_to(here) if path.is_relative_to(here) else path)
