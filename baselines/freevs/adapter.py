@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.generator.trained import link_trained, read_trained
+from geoevs.generator.trained import asked_options, link_trained, read_trained
 from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera
 
@@ -105,8 +105,7 @@ class Method:
         from baselines.freevs.model import ClipGenerator, Sampling
 
         settings = read_trained(Path(self.weights))
-        asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
-        asked = {name: value for name, value in asked.items() if value is not None}
+        asked = asked_options(self, SAMPLING_OPTIONS)
         self._sampling = Sampling(**settings["sampling"] | asked)
         self._generator = ClipGenerator.load(Path(self.weights))
 

@@ -44,18 +44,16 @@ def audit_page(
     out: Annotated[Path, typer.Option(help="The folder for its page, tables and charts.")],
 ) -> None:
     """Say in words, tables and charts how far the sparse metric can be trusted."""
-    from geoevs.io import write_bytes, write_text
+    from geoevs.io import write_text
     from geoevs.results.audit import audit_tables
     from geoevs.results.audit_chart import agreement_chart, support_chart
     from geoevs.results.audit_page import audit_markdown
-    from geoevs.results.chart_pages import page_html, page_png
+    from geoevs.results.chart_pages import write_page
 
     tables = audit_tables(read_rows(rows), parse_json("--settings", settings))
     for name, table in tables.items():
         write_text(out / f"{name}.csv", table.to_csv(index=False))
     charts = {"agreement": agreement_chart, "support_bias": support_chart}
     for name, draw in charts.items():
-        drawn = draw(tables[name])
-        write_bytes(out / f"{name}.png", page_png(drawn))
-        write_text(out / f"{name}.html", page_html(drawn))
+        write_page(out / name, draw(tables[name]))
     write_text(out / "audit.md", audit_markdown(tables))

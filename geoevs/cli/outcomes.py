@@ -171,16 +171,15 @@ def chart(
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
-    from geoevs.io import write_bytes, write_text
-    from geoevs.results.chart_pages import draw_page, page_html, page_png
+    from geoevs.io import write_text
+    from geoevs.results.chart_pages import draw_page, write_page
     from geoevs.results.charts import speed_accuracy
 
     parsed = parse_json("--settings", settings)
     table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed)
     page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
-    write_bytes(out.with_suffix(".png"), page_png(page))
-    write_text(out.with_suffix(".html"), page_html(page))
+    write_page(out, page)
 
 
 def report(run: Run, out: Out) -> None:

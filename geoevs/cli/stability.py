@@ -131,12 +131,11 @@ def stability_chart(
     """Draw every method's curve over the levels of a stressor."""
     import pandas as pd
 
-    from geoevs.io import write_bytes, write_text
-    from geoevs.results.chart_pages import page_html, page_png
+    from geoevs.io import write_text
+    from geoevs.results.chart_pages import write_page
     from geoevs.results.stability_chart import curves, stability_curves
 
     shown = curves(pd.read_csv(table), stressor)
     drawn = stability_curves(shown, stressor)
     write_text(out.with_suffix(".csv"), shown.to_csv(index=False))
-    write_bytes(out.with_suffix(".png"), page_png(drawn))
-    write_text(out.with_suffix(".html"), page_html(drawn))
+    write_page(out, drawn)

@@ -1,5 +1,6 @@
 """What a training left behind, as methods that take its weights find it."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,12 @@ def read_trained(folder: Path) -> dict[str, Any]:
     if failure.exists():
         raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
     return read_json(folder / "settings.json")
+
+
+def asked_options(method: object, names: Iterable[str]) -> dict[str, Any]:
+    """A method's own values of options that are None where its training's are to be taken."""
+    options = {name: getattr(method, name) for name in names}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def link_trained(folder: Path, copy: Path) -> None:

@@ -2,12 +2,14 @@
 
 import io
 import math
+from pathlib import Path
 from typing import Any
 
 import altair as alt
 import numpy as np
 import pandas as pd
 
+from geoevs.io import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.results.charts import COSTS, SPEED
 from geoevs.results.tables import bin_names, table_spec
@@ -194,3 +196,9 @@ def page_html(page: alt.VConcatChart) -> str:
     buffer = io.StringIO()
     page.save(buffer, format="html", inline=True)
     return buffer.getvalue()
+
+
+def write_page(stem: Path, page: alt.VConcatChart) -> None:
+    """Write a page as `<stem>.png` and `<stem>.html`, each whole or not at all."""
+    write_bytes(stem.with_suffix(".png"), page_png(page))
+    write_text(stem.with_suffix(".html"), page_html(page))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.generator.trained import link_trained, read_trained
+from geoevs.generator.trained import asked_options, link_trained, read_trained
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.io import read_json, write_json
@@ -102,8 +102,7 @@ class Method:
         from geoevs.generator.generator import Generator, Sampling
 
         settings = read_trained(Path(self.weights))
-        asked = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
-        asked = {name: value for name, value in asked.items() if value is not None}
+        asked = asked_options(self, SAMPLING_OPTIONS)
         self._sampling = Sampling(**settings["sampling"] | asked)
         self._generator = Generator.load(Path(self.weights))
         return settings
