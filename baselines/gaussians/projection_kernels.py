@@ -32,12 +32,14 @@ by colour (0, 1, 2) and depth (3)."""
 
 # exp(-sigma) = 2 ** -(u * u + v * v) where u and v are whitened and scaled by the root of this.
 _SCALE = 0.5 / math.log(2.0)
+_UNSCALE = 2.0 * math.log(2.0)
 _LOG2_THRESHOLD = math.log2(ALPHA_THRESHOLD)
 # The reach is meant for bins and blocks, which may hold a pixel too many but not one too few.
 _SLACK = 2e-5
 
-_FAST = {"arcp", "contract"}  # one reciprocal for many divisions; NaN and infinity still count
-_jit = numba.njit(error_model="numpy", fastmath=_FAST)
+# No fastmath: a kernel just compiled and the same one from numba's cache are optimised apart, and
+# only without it do both have the same last bits. Hence reciprocals are written out.
+_jit = numba.njit(error_model="numpy")
 
 
 @_jit
@@ -46,7 +48,8 @@ def _rotation(quats, i):
     w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
     y, z = np.float64(quats[i, 2]), np.float64(quats[i, 3])
     length = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
+    inverse = 1 / length
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -112,17 +115,18 @@ def _project_one(means, quats, scales, opacities, i, lens, splat):
     slope_x, slope_y = _slopes(x, y, z, lens)
     rotation, _, _ = _rotation(quats, i)
     xx, xy, yy = BLUR, 0.0, BLUR
+    zoom_x, zoom_y = fx / z, fy / z
     for k in range(3):
         axis = _axis(rotation, scales, i, k, lens)
-        across = fx / z * (axis[0] - slope_x * axis[2])
-        down = fy / z * (axis[1] - slope_y * axis[2])
+        across = zoom_x * (axis[0] - slope_x * axis[2])
+        down = zoom_y * (axis[1] - slope_y * axis[2])
         xx += across * across
         xy += across * down
         yy += down * down
     determinant = xx * yy - xy * xy
     reach = math.log2(opacity) - _LOG2_THRESHOLD + _SLACK
     deviation_x, deviation_y = math.sqrt(xx), math.sqrt(yy)
-    deviations = math.sqrt(reach / _SCALE)
+    deviations = math.sqrt(reach * _UNSCALE)
     extent_x, extent_y = deviations * deviation_x, deviations * deviation_y
     inside = (
         (u + extent_x > 0)
@@ -151,7 +155,8 @@ def _ray(means, i, lens):
     """The unit vector from the camera to the centre, and the distance, from `_place`."""
     x, y, z = _place(means, i, lens)
     distance = math.sqrt(x * x + y * y + z * z)
-    x, y, z = _turn_back(lens, x / distance, y / distance, z / distance)
+    inverse = 1 / distance
+    x, y, z = _turn_back(lens, x * inverse, y * inverse, z * inverse)
     return x, y, z, distance
 
 
@@ -167,7 +172,7 @@ def _shade_one(means, sh, i, lens, splat):
         splat[RED + channel] = 0.0 if value < 0 else value
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@numba.njit(parallel=True, cache=True, error_model="numpy")
 def project(means, quats, scales, opacities, sh, lens):
     """(splats [N, 16], radii [N]); the rows of those with radius 0 hold nothing."""
     splats = np.empty((len(means), COLUMNS), np.float32)
@@ -183,11 +188,12 @@ def project(means, quats, scales, opacities, sh, lens):
 def _turn_gradient_back(turned, unit, length):
     """From the gradient by a unit vector of four (or three and a 0) to that by the vector."""
     along = unit[0] * turned[0] + unit[1] * turned[1] + unit[2] * turned[2] + unit[3] * turned[3]
+    inverse = 1 / length
     return (
-        (turned[0] - along * unit[0]) / length,
-        (turned[1] - along * unit[1]) / length,
-        (turned[2] - along * unit[2]) / length,
-        (turned[3] - along * unit[3]) / length,
+        (turned[0] - along * unit[0]) * inverse,
+        (turned[1] - along * unit[1]) * inverse,
+        (turned[2] - along * unit[2]) * inverse,
+        (turned[3] - along * unit[3]) * inverse,
     )
 
 
@@ -208,7 +214,7 @@ def _quaternion_gradient(columns, unit, length):
 @_jit
 def _footprint_gradient(splat, grad):
     """By the centre (x, y) and by the covariance (xx, xy, yy) in pixels, from the moments."""
-    a, b, c = splat[ROOT_XX] / _SCALE, splat[ROOT_YX] / _SCALE, splat[ROOT_YY] / _SCALE
+    a, b, c = _UNSCALE * splat[ROOT_XX], _UNSCALE * splat[ROOT_YX], _UNSCALE * splat[ROOT_YY]
     centre_x = a * grad[GRAD_U]
     centre_y = b * grad[GRAD_U] + c * grad[GRAD_V]
     uu, uv, vv = 0.5 * grad[GRAD_UU], 0.5 * grad[GRAD_UV], 0.5 * grad[GRAD_VV]
@@ -228,7 +234,8 @@ def _project_one_backward(
     slope_x, slope_y = _slopes(x, y, z, lens)
     rotation, unit, length = _rotation(quats, i)
     centre_x, centre_y, xx, xy, yy = footprint
-    zoom_x, zoom_y = fx / z, fy / z
+    inverse = 1 / z
+    zoom_x, zoom_y = fx * inverse, fy * inverse
     by_zoom_x = by_zoom_y = by_slope_x = by_slope_y = 0.0
     columns = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for k in range(3):
@@ -257,11 +264,11 @@ def _project_one_backward(
         quats_grad[i, k] = by_quat[k]
     by_x, by_y = centre_x * zoom_x, centre_y * zoom_y
     if slope_x == x / z:
-        by_x += by_slope_x / z
+        by_x += by_slope_x * inverse
     if slope_y == y / z:
-        by_y += by_slope_y / z
+        by_y += by_slope_y * inverse
     # What scales as 1 / z: both zooms, and x / z and y / z wherever they are used.
-    by_z = by_depth - (by_zoom_x * zoom_x + by_zoom_y * zoom_y + by_x * x + by_y * y) / z
+    by_z = by_depth - (by_zoom_x * zoom_x + by_zoom_y * zoom_y + by_x * x + by_y * y) * inverse
     by_mean = _turn_back(lens, by_x, by_y, by_z)
     for k in range(3):
         means_grad[i, k] = by_mean[k]
@@ -289,7 +296,7 @@ def _shade_one_backward(means, sh, i, lens, splat, grad, means_grad, sh_grad):
             means_grad[i, k] += by_ray[k]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@numba.njit(parallel=True, cache=True, error_model="numpy")
 def project_backward(means, quats, scales, opacities, sh, lens, splats, radii, grads):
     """Gradients by the five parameters and by the centres in the picture [N, 2].
 
