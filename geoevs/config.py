@@ -2,16 +2,16 @@
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
-from jsonschema import Draft202012Validator, ValidationError
+from jsonschema import Draft202012Validator
 
 from geoevs.adapter import find_methods, method_class
+from geoevs.config_files import explain, locate, located
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.plugins import check_options
@@ -27,8 +27,6 @@ FREEVS = "freevs"
 
 TRAINING_PARTITIONS = {"train", "clips"}
 """What a frame may serve both of."""
-
-Key = tuple[str | int, ...]
 
 
 def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path]) -> None:
@@ -48,8 +46,8 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
         validator.iter_errors(config), key=lambda mistake: [str(part) for part in mistake.path]
     )
     if mistakes:
-        key, problem = _explain(mistakes[0])
-        raise GeoEvsError(f"{_locate(key, files)}: {problem}")
+        key, problem = explain(mistakes[0])
+        raise GeoEvsError(f"{locate(key, files)}: {problem}")
     _check_datasets(config, files)
     _check_masks(config, files)
     _check_geometry(config, files)
@@ -58,30 +56,8 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     for name in ("pose_bins", "support_bins"):
         edges = config["tables"][name]
         if any(low >= high for low, high in itertools.pairwise(edges)):
-            where = _locate(("tables", name), files)
+            where = locate(("tables", name), files)
             raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
-
-
-def check_syntax(path: str | Path) -> None:
-    """Check that a config file, where there is one, is YAML; Snakemake would not say what is not.
-
-    Raises:
-        GeoEvsError: it is not; the sentence names the line.
-    """
-    path = Path(path)
-    if not path.exists():
-        return
-    try:
-        yaml.compose(path.read_text())
-    except yaml.MarkedYAMLError as mistake:
-        line = mistake.problem_mark.line + 1
-        raise GeoEvsError(
-            f"{path}:{line}: this is not YAML ({mistake.problem}); check brackets, quotes and "
-            "indentation above it"
-        ) from None
-    except (ValueError, yaml.YAMLError) as error:  # of its characters
-        reason = " ".join(str(error).split())
-        raise GeoEvsError(f"{path} is not plain UTF-8 text ({reason}); save it as such") from None
 
 
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
@@ -144,81 +120,26 @@ def partition_scenes(
     ]
 
 
-def _explain(mistake: ValidationError) -> tuple[Key, str]:
-    """The key at fault and a sentence on what is wrong with it."""
-    key: Key = tuple(mistake.absolute_path)
-    if mistake.validator == "additionalProperties":
-        allowed = mistake.schema.get("properties", {})
-        unknown = str(next(name for name in mistake.instance if name not in allowed))
-        return (*key, unknown), f"'{unknown}' is not a known key; {did_you_mean(unknown, allowed)}"
-    if mistake.validator == "required":
-        missing = next(name for name in mistake.validator_value if name not in mistake.instance)
-        where = f"under '{_dotted(key)}'" if key else "at the top level"
-        return key, f"the key '{missing}' is missing {where}; add it"
-    if mistake.validator == "pattern":
-        if "propertyNames" in mistake.absolute_schema_path:
-            key = (*key, mistake.instance)
-        return key, f"'{mistake.instance}' is not an allowed name; use lower case and hyphens"
-    purpose = mistake.schema.get("description", "").removesuffix(".")
-    meaning = f" (it means: {purpose})" if purpose else ""
-    return key, f"'{_dotted(key)}' is wrong: {mistake.message}{meaning}"
-
-
-def _dotted(key: Key) -> str:
-    return ".".join(map(str, key))
-
-
-def _locate(key: Key, files: Sequence[Path]) -> str:
-    """`FILE:LINE` of a key in the last file that sets it, else that file's name alone."""
-    for path in reversed(files):
-        node = yaml.compose(Path(path).read_text())
-        line = None
-        for part in key:
-            if isinstance(node, yaml.MappingNode):
-                pairs = {name.value: (name, value) for name, value in node.value}
-                if str(part) not in pairs:
-                    break
-                name, node = pairs[str(part)]
-                line = name.start_mark.line + 1
-            elif isinstance(node, yaml.SequenceNode) and part < len(node.value):
-                node = node.value[part]
-            else:
-                break
-        else:
-            if line is not None:
-                return f"{path}:{line}"
-    return str(files[0]) if files else "config"
-
-
-@contextmanager
-def _located(key: Key, files: Sequence[Path]) -> Iterator[None]:
-    """Put the place of `key` before the sentence of a mistake found in the block."""
-    try:
-        yield
-    except GeoEvsError as mistake:
-        raise GeoEvsError(f"{_locate(key, files)}: {mistake}") from mistake
-
-
 def _check_datasets(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     datasets = config["datasets"]
     for name in config["evaluate"]:
         if name not in datasets:
             raise GeoEvsError(
-                f"{_locate(('evaluate',), files)}: there is no data set '{name}' under 'datasets'; "
+                f"{locate(('evaluate',), files)}: there is no data set '{name}' under 'datasets'; "
                 f"{did_you_mean(name, datasets)}"
             )
         if not datasets[name]["partitions"].get("test"):
             raise GeoEvsError(
-                f"{_locate(('evaluate',), files)}: data set '{name}' has no test scenes; name some "
+                f"{locate(('evaluate',), files)}: data set '{name}' has no test scenes; name some "
                 "under its partitions.test, or do not evaluate it"
             )
     for name, dataset in datasets.items():
         source = dataset["source"]
-        with _located(("datasets", name, "source"), files):
+        with located(("datasets", name, "source"), files):
             source_class(source)
-        with _located(("datasets", name, "options"), files):
+        with located(("datasets", name, "options"), files):
             check_options(f"data source '{source}'", source_class(source), dataset["options"], 2)
-        with _located(("datasets", name, "partitions"), files):
+        with located(("datasets", name, "partitions"), files):
             placed = _placed_scenes(dataset["partitions"])
             _check_partitions(name, placed)
             for other, earlier in datasets.items():
@@ -270,7 +191,7 @@ def _check_shared(dataset: str, placed: Placed, other: str, other_placed: Placed
 def _check_geometry(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     geometry = config["geometry"]
     model = geometry["model"]
-    with _located(("geometry", "model"), files):
+    with located(("geometry", "model"), files):
         if model not in DEPTH_MODELS:
             raise GeoEvsError(
                 f"there is no depth model '{model}'; {did_you_mean(model, DEPTH_MODELS)}"
@@ -279,12 +200,12 @@ def _check_geometry(config: Mapping[str, Any], files: Sequence[Path]) -> None:
         return
     if geometry["weights"] is None and model != SUITE_MODEL:
         raise GeoEvsError(
-            f"{_locate(('geometry', 'weights'), files)}: depth model '{model}' needs weights; "
+            f"{locate(('geometry', 'weights'), files)}: depth model '{model}' needs weights; "
             "give their path"
         )
     if geometry["finetune"] is None:
         return
-    with _located(("geometry", "finetune"), files):
+    with located(("geometry", "finetune"), files):
         if DEPTH_MODELS[model] is not VggtDepth:
             raise GeoEvsError(f"depth model '{model}' cannot be fine-tuned; set 'finetune' to null")
         if not partition_scenes(config, "geometry", config["datasets"]):
@@ -300,7 +221,7 @@ def _check_masks(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     shared = sorted(set(config["conditions"]["masks"]["lateral"]) & set(tested))
     if shared:
         raise GeoEvsError(
-            f"{_locate(('conditions', 'masks', 'lateral'), files)}: masks shifted by {shared[0]} m "
+            f"{locate(('conditions', 'masks', 'lateral'), files)}: masks shifted by {shared[0]} m "
             "are what protocol.masked tests with; change one of them"
         )
 
@@ -309,11 +230,11 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     methods = [*ORACLES, *find_methods()]
     labels = set()
     if FREEVS in config["training"]["variants"]:
-        where = _locate(("training", "variants", FREEVS), files)
+        where = locate(("training", "variants", FREEVS), files)
         raise GeoEvsError(f"{where}: '{FREEVS}' is FreeVS's own training; rename the variant")
     for entry in method_entries(config):
         name = entry.name
-        with _located(("methods", name), files):
+        with located(("methods", name), files):
             if entry.method not in methods:
                 raise GeoEvsError(
                     f"there is no method '{entry.method}'; {did_you_mean(entry.method, methods)}"
@@ -330,7 +251,7 @@ def _check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
 def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     """Its data sets have target lists of their own; its methods are among the run's."""
     stability = config["stability"]
-    with _located(("stability", "datasets"), files):
+    with located(("stability", "datasets"), files):
         for name in stability["datasets"]:
             if name not in config["datasets"]:
                 hint = did_you_mean(name, config["datasets"])
@@ -343,17 +264,17 @@ def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:
     for name in stability["datasets"]:
         dataset = config["datasets"][name]
         for level in stability["levels"]["motion"]:
-            with _located(("stability", "levels", "motion"), files):
+            with located(("stability", "levels", "motion"), files):
                 options = dataset["options"] | {MOTION_OPTION: level}
                 source = source_class(dataset["source"])
                 check_options(f"data source '{dataset['source']}'", source, options, 2)
     for name in stability["methods"]:
-        with _located(("stability", "methods", name), files):
+        with located(("stability", "methods", name), files):
             if name not in config["methods"]:
                 hint = did_you_mean(name, config["methods"])
                 raise GeoEvsError(f"there is no '{name}' under 'methods'; {hint}")
     for entry in stability_entries(config):
-        with _located(("stability", "methods", entry.name), files):
+        with located(("stability", "methods", entry.name), files):
             if entry.method in ORACLES:
                 raise GeoEvsError(
                     f"the control '{entry.method}' is given nothing that could be stressed; "

@@ -7,12 +7,12 @@ import yaml
 import baselines
 from geoevs.config import (
     check_config,
-    check_syntax,
     expand_scenes,
     method_entries,
     partition_scenes,
     stability_entries,
 )
+from geoevs.config_files import check_syntax
 from geoevs.errors import GeoEvsError
 
 PROJECT = Path(__file__).parents[1]
