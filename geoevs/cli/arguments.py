@@ -1,14 +1,23 @@
-"""Arguments that are JSON, those that name scenes, and tables of rows."""
+"""Options that many commands have; arguments that are JSON or name scenes; tables of rows."""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from geoevs.errors import GeoEvsError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
+SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
+Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
+Scores = Annotated[Path, typer.Option(help="The run's scores.parquet.")]
+Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
+TableSettings = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
 
 EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}
 

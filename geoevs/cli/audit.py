@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json, read_rows
+from geoevs.cli.arguments import Out, Run, parse_json, read_rows
 
 
 def register(app: typer.Typer) -> None:
@@ -15,11 +15,11 @@ def register(app: typer.Typer) -> None:
 
 
 def audit_scene(
-    run: Annotated[Path, typer.Option(help="The run's folder, results/<run>.")],
+    run: Run,
     dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
     scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
     entrants: Annotated[str, typer.Option(help="[method, variant, seed] of each, as JSON.")],
-    out: Annotated[Path, typer.Option(help="What to write, whole or not at all.")],
+    out: Out,
     seed: Annotated[int, typer.Option(min=0, help="The run's seed.")] = 0,
 ) -> None:
     """Set every sparse metric beside its dense twin, and every reference pixel beside the truth."""

@@ -5,11 +5,9 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json, scene_pairs
+from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json, scene_pairs
 from geoevs.progress import progress_bar
 
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
-SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 PointMapFile = Annotated[Path, typer.Option(help="What `geoevs point-maps` wrote of the scene.")]
 
 
@@ -76,7 +74,7 @@ def mask_library(
 
 def mask_figure(
     library: Annotated[Path, typer.Option(help="What `geoevs mask-library` wrote.")],
-    run: Annotated[Path, typer.Option(help="The run's folder, results/<run>.")],
+    run: Run,
     scenes: Annotated[list[str], typer.Option(help="DATASET/SCENE under test; repeat for more.")],
     out: Out,
 ) -> None:

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json
-from geoevs.cli.generator import Out, Seed, Work, failure_written
+from geoevs.cli.arguments import Out, SceneFolder, parse_json
+from geoevs.cli.generator import Seed, Work, failure_written
 from geoevs.progress import progress_bar, training_bar
 
 
@@ -16,7 +16,7 @@ def register(app: typer.Typer) -> None:
         app.command()(command)
 
 
-def clips(scene: Annotated[Path, typer.Option(help="A scene store.")], out: Out) -> None:
+def clips(scene: SceneFolder, out: Out) -> None:
     """Make the pseudo-images of every recorded view of a scene."""
     from baselines.freevs.clips import make_clips, write_clips
     from geoevs.scenes.store import Scene

@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json
+from geoevs.cli.arguments import Out, parse_json
 from geoevs.errors import GeoEvsError
 from geoevs.progress import training_bar
 
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Work = Annotated[
     Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
 ]

@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
+from geoevs.cli.arguments import Out, SceneFolder
 from geoevs.errors import GeoEvsError
 from geoevs.progress import progress_bar, training_bar
-
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -109,7 +108,7 @@ def train_refiner(
 def score_geometry(
     dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
     scene_name: Annotated[str, typer.Option(help="The scene's name in the config.")],
-    scene: Annotated[Path, typer.Option(help="A scene store.")],
+    scene: SceneFolder,
     depths: Annotated[Path, typer.Option(help="Its dense true depth; may be empty.")],
     model: Annotated[str, typer.Option(help="The depth model's name; lidar is always scored.")],
     out: Out,

@@ -20,7 +20,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     *("stages", "geometry", "conditions", "generator", "freevs", "stability", "audit"),
-    *("outcomes", "adapters"),
+    *("tables", "outcomes", "adapters"),
 )
 _log: Path | None = None
 

@@ -1,4 +1,4 @@
-"""From score rows to what people read: tables, pictures, the manifest, the failures."""
+"""From score rows to what people read: pictures, charts, the manifest, the failures."""
 
 import sys
 from pathlib import Path
@@ -6,19 +6,22 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json, read_rows, scene_pairs
+from geoevs.cli.arguments import (
+    Costs,
+    Out,
+    Run,
+    Scores,
+    TableSettings,
+    parse_json,
+    read_rows,
+    scene_pairs,
+)
 from geoevs.errors import GeoEvsError
-
-Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (
-        *(collect, table, ablation_table, cost_table, geometry_table, complexity_table),
-        *(rank_agreement, grid, chart, report, manifest, install_weights, failures, why),
-    ):
+    for command in (*(collect, grid, chart, report, manifest, install_weights, failures, why),):
         app.command()(command)
 
 
@@ -48,101 +51,6 @@ def collect(
     write_bytes(out, buffer.getvalue())
 
 
-def table(
-    name: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
-    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
-    sets: Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")] = None,
-) -> None:
-    """Make one table as CSV, Markdown and LaTeX."""
-    from geoevs.io import write_text
-    from geoevs.results.formats import to_latex, to_markdown
-    from geoevs.results.tables import make_table, table_spec
-
-    spec = table_spec(name)
-    distances = None if sets is None else read_rows(sets)
-    made = make_table(name, read_rows(scores), parse_json("--settings", settings), distances)
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), to_markdown(spec, made))
-    write_text(out.with_suffix(".tex"), to_latex(spec, made))
-
-
-def ablation_table(
-    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
-) -> None:
-    """Compare the variants of Geo-EVS with the full model, as CSV, Markdown and LaTeX."""
-    from geoevs.io import write_text
-    from geoevs.results.ablation import ablation_latex, ablation_markdown, make_ablation_table
-
-    made = make_ablation_table(read_rows(scores), parse_json("--settings", settings))
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), ablation_markdown(made))
-    write_text(out.with_suffix(".tex"), ablation_latex(made))
-
-
-def cost_table(
-    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
-) -> None:
-    """Make the table of times, memory and sizes as CSV and Markdown."""
-    from geoevs.io import write_text
-    from geoevs.results.costs import cost_markdown, make_cost_table
-
-    made = make_cost_table(read_rows(costs))
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), cost_markdown(made))
-
-
-def geometry_table(
-    scores: Annotated[Path, typer.Option(help="The run's depth-scores.parquet.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .md and .tex are added.")],
-) -> None:
-    """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
-    from geoevs.io import write_text
-    from geoevs.results.geometry_table import (
-        geometry_latex,
-        geometry_markdown,
-        make_geometry_table,
-    )
-
-    made = make_geometry_table(read_rows(scores), parse_json("--settings", settings))
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), geometry_markdown(made))
-    write_text(out.with_suffix(".tex"), geometry_latex(made))
-
-
-def complexity_table(
-    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
-) -> None:
-    """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
-    from geoevs.io import write_text
-    from geoevs.results.complexity import complexity_markdown, make_complexity_table
-
-    made = make_complexity_table(read_rows(scores), read_rows(costs))
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), complexity_markdown(made))
-
-
-def rank_agreement(
-    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
-    out: Annotated[Path, typer.Option(help="Path without suffix; .csv and .md are added.")],
-) -> None:
-    """Compare the order of methods with the paper's, as CSV and Markdown."""
-    from geoevs.io import write_text
-    from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
-
-    made = make_rank_agreement(read_rows(scores), parse_json("--settings", settings))
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), rank_agreement_markdown(made))
-
-
 def grid(
     name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
     run: Run,
@@ -165,9 +73,9 @@ def grid(
 
 def chart(
     name: Annotated[str, typer.Argument(help="The table whose views to chart.")],
-    scores: Annotated[Path, typer.Option(help="The run's scores.parquet.")],
-    costs: Annotated[Path, typer.Option(help="The run's costs.parquet.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    scores: Scores,
+    costs: Costs,
+    settings: TableSettings,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""

@@ -5,12 +5,9 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json, read_rows
+from geoevs.cli.arguments import Out, Run, SceneFolder, TableSettings, parse_json, read_rows
 
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
-SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
-Tables = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
 Group = Annotated[str, typer.Option(help="The stressor, or clean.")]
 Method = Annotated[str, typer.Option(help="The method's name.")]
 Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
@@ -72,7 +69,7 @@ def stability_render(
 
 
 def stability_score(
-    run: Annotated[Path, typer.Option(help="The run's folder, results/<run>.")],
+    run: Run,
     dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
     scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
     method: Method,
@@ -103,7 +100,7 @@ def stability_score(
 
 def stability_table(
     scores: Annotated[Path, typer.Option(help="The stability suite's score rows.")],
-    settings: Tables,
+    settings: TableSettings,
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""

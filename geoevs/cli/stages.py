@@ -6,14 +6,12 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import parse_json
+from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json
 from geoevs.progress import counted, progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
 SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]
 Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
-Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
-SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 TargetFile = Annotated[Path, typer.Option(help="The scene's target list.")]
 MaskFile = Annotated[Path, typer.Option(help="The masks that `geoevs references` wrote.")]
 Size = Annotated[int, typer.Option(min=1, help="Pixels.")]
@@ -188,7 +186,7 @@ def score(
 
 def score_sets(
     method: Annotated[str, typer.Option(help="The method's name.")],
-    run: Annotated[Path, typer.Option(help="The run's folder, results/<run>.")],
+    run: Run,
     dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
     scenes: Annotated[list[str], typer.Option(help="A test scene of it; repeat for more.")],
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Of the intervals.")],
