@@ -14,10 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from baselines.gaussians.constants import ALPHA_CAP, ALPHA_THRESHOLD, BLUR, NEAR_PLANE
 from baselines.gaussians.interface import Footprints, Rasterization
 from baselines.gaussians.model import Gaussians
 from baselines.gaussians.rasterizer import rasterize
 from geoevs.scenes.camera import Camera
+
+REACH = math.sqrt(2 * math.log(ALPHA_CAP / ALPHA_THRESHOLD))
+"""Standard deviations from its centre beyond which no Gaussian shows."""
 
 FOURIER = 5
 """Coefficients of an actor's colour over time, as published."""
@@ -73,16 +77,37 @@ class Actor:
     shifts: Tensor  # [F, 3]
     turns: Tensor  # [F]
 
-    def placed(self, frame: int) -> Placed | None:
-        """The Gaussians where the actor is in a frame; None where it is nowhere."""
-        if frame not in self.frames:
-            return None
+    def placed(self, frame: int) -> Placed:
+        """The Gaussians where the actor is in one of its frames."""
         here, now = self.gaussians, self.frames.index(frame)
         yaw = self.yaws[now] + self.turns[now]
         means = _turned(here.means, yaw) + self.centres[now] + self.shifts[now]
         constant = torch.einsum("f,nfc->nc", self._waves(now), here.sh0)[:, None]
         sh = torch.cat([constant, _turned_harmonics(here.sh_rest, yaw)], dim=1)
         return Placed(means, _turned_quats(here.quats, yaw), here.scales, here.opacities, sh)
+
+    @torch.no_grad()
+    def reaches(self, camera: Camera, frame: int) -> bool:
+        """Whether a ball around all that its Gaussians can show is partly in a view."""
+        if frame not in self.frames:
+            return False
+        now = self.frames.index(frame)
+        middle = (self.centres[now] + self.shifts[now]).tolist()
+        largest = self.gaussians.log_scales.max().exp()
+        radius = float(self.size.norm() / 2 + REACH * largest)
+        x, y, z, _ = camera.camera_from_world @ [*middle, 1]
+        (fx, _, cx), (_, fy, cy), _ = camera.K
+        blur = REACH * math.sqrt(BLUR)
+        left, right = cx + blur, camera.width - cx + blur
+        top, bottom = cy + blur, camera.height - cy + blur
+        sides = (
+            (left * z + fx * x, math.hypot(fx, left)),
+            (right * z - fx * x, math.hypot(fx, right)),
+            (top * z + fy * y, math.hypot(fy, top)),
+            (bottom * z - fy * y, math.hypot(fy, bottom)),
+            (z - NEAR_PLANE, 1.0),
+        )
+        return all(inward > -radius * length for inward, length in sides)
 
     def extras(self) -> dict[str, Tensor]:
         """Learned besides the Gaussians: the corrections of its track."""
@@ -147,7 +172,9 @@ class SceneGraph:
 
     def draw(self, camera: Camera, frame: int) -> "Drawn":
         """What a camera sees in a frame."""
-        shown = self.placed(frame)
+        shown = {self.background.name: self.background.placed(frame)}
+        # An actor that is elsewhere costs as much as one in the picture.
+        shown |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
         whole = Placed(*map(torch.cat, zip(*shown.values(), strict=True)))
         picture = rasterize(*whole, camera)
         if self.sky is not None:
@@ -156,11 +183,6 @@ class SceneGraph:
         ends = np.cumsum([0, *(len(part.means) for part in shown.values())]).tolist()
         rows = dict(zip(shown, map(slice, ends[:-1], ends[1:]), strict=True))
         return Drawn(picture, whole, rows)
-
-    def placed(self, frame: int) -> dict[str, Placed]:
-        """The Gaussians of all nodes that are there in a frame, the background's first."""
-        parts = {node.name: node.placed(frame) for node in self.nodes()}
-        return {name: part for name, part in parts.items() if part is not None}
 
     def __len__(self) -> int:
         """The number of Gaussians."""

@@ -140,7 +140,8 @@ class Trainer:
         optimiser = self.optimisers["background"]
         self._strategy.update(step, optimiser, footprints, photo.camera, self._generator)
         for actor in self.graph.actors:
-            actor.confine()
+            if actor.name in drawn.rows:
+                actor.confine()
         return loss.item()
 
     def _check_extras(self, step: int) -> None:

@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from baselines.gaussians.nodes import FOURIER, Actor, Background, SceneGraph, Sky
+from baselines.gaussians.rasterizer import rasterize
 from baselines.gaussians.reference import rotation_matrices, shade
 from baselines.gaussians.storage import scene_arrays, scene_from_arrays
 from geoevs.io import read_arrays, write_arrays
@@ -51,7 +54,6 @@ def test_an_actor_is_where_its_box_is(actor):
     torch.testing.assert_close(placed.means, expected)
     rotations = rotation_matrices(placed.quats)
     torch.testing.assert_close(rotations, turn(YAW) @ rotation_matrices(local.quats))
-    assert actor.placed(4) is None
 
 
 def test_corrections_add_to_the_box(actor):
@@ -118,6 +120,29 @@ def test_rows_are_told_apart(graph):
     assert torch.equal(drawn.footprints("actor car-1").radii, radii[2:])
     assert len(graph) == 5
     assert graph.parameters() == 2 * (3 + 4 + 3 + 1 + 12) + 3 * (11 + 15 + 9) + 3 * 4 + 3 * 8 * 16
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    distance=st.floats(4, 40),
+    azimuth=st.floats(-180, 180),
+    height=st.floats(-4, 4),
+    scale=st.floats(0.01, 0.2),
+)
+def test_actors_are_left_out_only_where_they_do_not_show(
+    make_gaussians, distance, azimuth, height, scale
+):
+    angle = math.radians(azimuth)
+    place = torch.tensor([[distance * math.cos(angle), distance * math.sin(angle), height]])
+    gaussians = make_gaussians([0.5, 0.9, 0.98], scale)
+    size, zero = torch.tensor([6.0, 6.0, 6.0]), torch.zeros(1)
+    actor = Actor("car", gaussians, (0,), size, place, zero, torch.zeros(1, 3), zero)
+    actor.confine()
+    if rasterize(*actor.placed(0), AHEAD).opacity.any():
+        assert actor.reaches(AHEAD, 0)
+    if abs(azimuth) > 135 and distance > 10:
+        assert not actor.reaches(AHEAD, 0)
+    assert not actor.reaches(AHEAD, 1)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 90.0, 180.0, -135.0])
