@@ -30,6 +30,9 @@ GROWTH_START, GROWTH_STOP = 0.04, 0.55
 GROWTH_ROUNDS = 125
 """A whole training has time for; growing by a twentieth each, 70 of them make 30 of one."""
 
+SHORTEST_ROUND = 10
+"""Steps: what was just split is faint, and a short training would split it again and again."""
+
 RESETS = 10
 
 STRATEGIES = ("mcmc", "gradient")
@@ -70,7 +73,7 @@ def make_strategy(name: str, cap: int, steps: int) -> Strategy:
         GeoEvsError: there is no such strategy.
     """
     start, stop = round(GROWTH_START * steps), round(GROWTH_STOP * steps)
-    schedule = Schedule(start, stop, max(1, steps // GROWTH_ROUNDS))
+    schedule = Schedule(start, stop, max(SHORTEST_ROUND, steps // GROWTH_ROUNDS))
     if name == "mcmc":
         return MCMCStrategy(cap, schedule)
     if name == "gradient":

@@ -48,14 +48,14 @@ def run(trainer, photos, choice=None, until=math.inf):
 
 
 def test_training_makes_the_views_right(make_trainer, photos):
-    trainer = make_trainer(count=1000, cap=1500)
+    trainer = make_trainer(count=1000, cap=1200)
     before = psnr(trainer.graph, photos)
     steps, reports = run(trainer, photos)
     assert steps == len(reports) == STEPS
     assert psnr(trainer.graph, photos) > before + 3
-    assert len(trainer.graph) == 1500
+    assert len(trainer.graph) == 1200
     assert reports[-1][0] < reports[0][0]
-    assert reports[-1][1].endswith(" it/s, 1,500 Gaussians")
+    assert reports[-1][1].endswith(" it/s, 1,200 Gaussians")
     assert not torch.equal(trainer.graph.sky.colours, torch.full((3, 4, 8), 0.5))
 
 
