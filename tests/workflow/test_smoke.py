@@ -339,7 +339,8 @@ def test_real_frames_run_too(workspace):
     (workspace.folder / "small.yaml").write_text(
         "resolution: [96, 96]\n"
         'datasets: {pandaset: {partitions: {test: ["002@65-65"]}}}\n'
-        "methods: {reproject: null, reference: null, nearest-view: null, geo-evs-support: null,"
+        "methods: {reproject: null, reproject-inpaint.navier-stokes: null, reference: null,"
+        " nearest-view: null, geo-evs-support: null,"
         " three-dgs: null, street-gaussians: null, emernerf: null}\n"
         "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
         "freevs: {steps: 2, sampling: {steps: 1}}\n"
