@@ -57,6 +57,8 @@ def agreement(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
 def _frame_means(group: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sparse and dense means, (F, M) each by frame and entrant, and (F,) scenes."""
     finite = group[np.isfinite(group["value"]) & np.isfinite(group["dense"])]
+    if finite.empty:  # SSIM has no window with enough pixels at the lowest share
+        return np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, object)
     cells = finite.pivot_table(["value", "dense"], FRAME, ENTRANT).dropna()
     scenes = cells.index.get_level_values("scene").to_numpy(object)
     return cells["value"].to_numpy(), cells["dense"].to_numpy(), scenes

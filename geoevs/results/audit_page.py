@@ -114,6 +114,9 @@ def _gain(table: pd.DataFrame) -> list[str]:
 
 
 def _interval(row: pd.Series, name: str) -> str:
+    """A mean and its interval; nothing where there is none."""
+    if math.isnan(row[name]):
+        return ""
     ends = f"{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}"
     return f"{row[name]:.2f} [{ends}]"
 

@@ -48,6 +48,13 @@ def test_a_swapped_pair_costs_tau_and_raises_the_gap():
     assert found["gap"] == 3.5  # c and a; a and b, 2.5 apart, are in the wrong order
 
 
+def test_a_metric_that_nothing_has_at_a_share_is_an_empty_row():
+    rows = agreeing(DENSE) + agreeing(dict.fromkeys(DENSE, np.nan), share=0.05)
+    table = agreement(pd.DataFrame(rows), SETTINGS).set_index("share")
+    assert table.loc[0.05, ["bias", "bias_low", "tau", "tau_high", "gap"]].isna().all()
+    assert table["entrants"].to_dict() == {1.0: 4, 0.05: 0}
+
+
 def test_oracles_and_exact_copies_are_left_out():
     rows = agreeing(DENSE) + [
         row("agreement", name, "sparse_psnr", frame, np.inf, 30.0)
