@@ -12,7 +12,6 @@ from geoevs.config import (
     partition_scenes,
     stability_entries,
 )
-from geoevs.config_files import check_syntax
 from geoevs.errors import GeoEvsError
 
 PROJECT = Path(__file__).parents[1]
@@ -403,24 +402,3 @@ def test_entries_have_the_runs_seed_added_and_skip_null():
         "reproject-inpaint.best.seed3",
         "reproject-inpaint.best.seed5",
     ]
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        (b"a: 1\nb: [1\n", r":3: this is not YAML \(expected .*\); check brackets"),
-        (b"a: 1\nb: c: d\n", r":2: this is not YAML \(mapping values are not allowed here\)"),
-        (b"a: 1\n\tb: 2\n", r":2: this is not YAML \(found character '\\t'"),
-        (b"a: \x00", " is not plain UTF-8 text"),
-        (b"a: \xff", " is not plain UTF-8 text"),
-    ],
-)
-def test_a_file_that_is_not_yaml_is_one_sentence_with_its_line(tmp_path, text, sentence):
-    path = tmp_path / "config.yaml"
-    path.write_bytes(text)
-    with pytest.raises(GeoEvsError, match=f"^{path}{sentence}.*$"):
-        check_syntax(path)
-
-
-def test_a_config_that_is_not_there_is_left_to_snakemake(tmp_path):
-    check_syntax(tmp_path / "none.yaml")

@@ -14,14 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.gaussians.constants import ALPHA_CAP, ALPHA_THRESHOLD, BLUR, NEAR_PLANE
+from baselines.gaussians.constants import ALPHA_THRESHOLD, BLUR, NEAR_PLANE
 from baselines.gaussians.interface import Footprints, Rasterization
 from baselines.gaussians.model import Gaussians
 from baselines.gaussians.rasterizer import rasterize
 from geoevs.scenes.camera import Camera
 
-REACH = math.sqrt(2 * math.log(ALPHA_CAP / ALPHA_THRESHOLD))
-"""Standard deviations from its centre beyond which no Gaussian shows."""
+REACH = math.sqrt(-2 * math.log(ALPHA_THRESHOLD))
+"""Standard deviations from its centre beyond which no Gaussian shows, however opaque."""
 
 FOURIER = 5
 """Coefficients of an actor's colour over time, as published."""

@@ -130,7 +130,8 @@ class Trainer:
         drawn = self.graph.draw(photo.camera, photo.frame)
         loss = photometric_loss(drawn.picture.rgb, photo.image)
         loss = loss + self._own_loss(self.graph, photo, drawn, step / self.steps)
-        shown = [node for node in self.graph.nodes() if node.name in drawn.rows]
+        actors = [actor for actor in self.graph.actors if actor.name in drawn.rows]
+        shown = [self.graph.background, *actors]
         loss = loss + self._strategy.penalty(self.graph.background.gaussians)
         loss.backward()
         for node in shown:
@@ -142,9 +143,8 @@ class Trainer:
         footprints = drawn.footprints("background")
         optimiser = self.optimisers["background"]
         self._strategy.update(step, optimiser, footprints, photo.camera, self._generator)
-        for actor in self.graph.actors:
-            if actor.name in drawn.rows:
-                actor.confine()
+        for actor in actors:
+            actor.confine()
         return loss.item()
 
     def _check_extras(self, step: int) -> None:

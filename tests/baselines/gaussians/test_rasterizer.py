@@ -11,10 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba.core.dispatcher import Dispatcher
 
-from baselines.emernerf import hash_grid_kernels
-from baselines.gaussians import binning_kernels, blending_kernels, loss, projection_kernels
 from baselines.gaussians.constants import ALPHA_CAP, BLUR, SH_C0, TRANSMITTANCE_THRESHOLD
 from baselines.gaussians.gsplat_backend import rasterize_gsplat
 from baselines.gaussians.rasterizer import blending_weights, rasterize
@@ -450,15 +447,6 @@ class TestGsplatBackend:
         assert theirs.footprints.radii.tolist() == [5.0]
         theirs.rgb[0, 0, 0].backward()
         assert theirs.footprints.means2d_grad.tolist() == [[3.0, 3.0]]
-
-
-@pytest.mark.parametrize(
-    "kernels", [projection_kernels, binning_kernels, blending_kernels, loss, hash_grid_kernels]
-)
-def test_kernels_may_not_be_rounded_otherwise_when_compiled_again(kernels) -> None:
-    compiled = [part for part in vars(kernels).values() if isinstance(part, Dispatcher)]
-    assert compiled
-    assert not any(part.targetoptions.get("fastmath") for part in compiled)
 
 
 def test_package_is_cheap_to_import() -> None:
