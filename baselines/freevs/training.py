@@ -16,7 +16,7 @@ from baselines.freevs.model import ClipGenerator, Sampling
 from geoevs.adapter import Rng
 from geoevs.generator.autoencoder import Autoencoder, to_tensor
 from geoevs.generator.prior import Prior, load_prior
-from geoevs.generator.training import ENCODED_AT_ONCE
+from geoevs.generator.training import encode_in_parts
 from geoevs.network_files import best_device
 from geoevs.training import Optimisation, fingerprint, mixed_precision, seeded, train
 
@@ -156,7 +156,6 @@ class FreeVSTask:
         return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
 
 
-@torch.no_grad()
 def _encode(
     autoencoder: Autoencoder,
     images: np.ndarray,  # [N, K, H, W, 3] uint8
@@ -164,13 +163,10 @@ def _encode(
 ) -> Tensor:
     """[N, K, L, h, w] latents of filled images, once: they are the same at every step."""
     device = next(autoencoder.parameters()).device
-    count, kinds = valid.shape[:2]
     flat, masks = images.reshape(-1, *images.shape[2:]), valid.reshape(-1, *valid.shape[2:])
-    parts = []
-    for start in range(0, len(flat), ENCODED_AT_ONCE):
-        several = slice(start, start + ENCODED_AT_ONCE)
-        shown = to_tensor(flat[several]).to(device)
-        mask = torch.from_numpy(masks[several])[:, None].to(device)
-        with mixed_precision(device):
-            parts.append(filled_latents(autoencoder, shown, mask))
-    return torch.cat(parts).unflatten(0, (count, kinds))
+
+    def encode(part: slice) -> Tensor:
+        shown = to_tensor(flat[part]).to(device)
+        return filled_latents(autoencoder, shown, torch.from_numpy(masks[part])[:, None].to(device))
+
+    return encode_in_parts(encode, len(flat), device).unflatten(0, valid.shape[:2])

@@ -120,16 +120,21 @@ def install_weights(
     weights: Annotated[Path, typer.Option(help="The folder that trainings start from.")],
     out: Out,
 ) -> None:
-    """Put pretrained weights where trainings start from, with what they were made of."""
-    from geoevs.io import write_bytes, write_json
-    from geoevs.results.manifest import make_provenance
+    """Put pretrained weights where trainings start from, with what they were made of.
+
+    Other weights in that folder, and what is written down of them, stay.
+    """
+    from geoevs.io import read_json, write_bytes, write_json
+    from geoevs.results.manifest import add_provenance, make_provenance
 
     folders = dict(pair.split("=", 1) for pair in work)
     losses = {name: Path(folder) / "losses.csv" for name, folder in folders.items()}
     provenance = make_provenance(parse_json("--config", config), files, losses)
+    kept = weights / "provenance.json"
+    everything = add_provenance(provenance, read_json(kept) if kept.exists() else [])
     for path in files:
         write_bytes(weights / path.name, path.read_bytes())
-    write_json(weights / "provenance.json", provenance)
+    write_json(kept, everything)
     write_json(out, provenance)
 
 

@@ -26,7 +26,7 @@ def nano_autoencoder() -> AutoencoderKL:
         up_block_types=("UpDecoderBlock2D",),
         block_out_channels=(128,),
         layers_per_block=2,
-        latent_channels=8,
+        latent_channels=12,  # with 8, one axis of colour is lost: green cars turn grey
         norm_num_groups=16,
         mid_block_add_attention=False,
     )

@@ -44,16 +44,26 @@ class ConditionEncoder(nn.Module):
             nn.Conv2d(64, channels, 3, padding=1),
         )
 
-    def forward(
+    @torch.no_grad()
+    def latent(
         self,
         condition: Tensor,  # [B, 3, H, W] in [0, 1], zero where invalid
         valid: Tensor,  # [B, 1, H, W] bool
     ) -> Tensor:
+        """[B, latent_channels, H / factor, W / factor]: the part that no training changes."""
+        (autoencoder,) = self._autoencoder
+        return autoencoder.encode(push_pull(condition, valid) if self.filled else condition)
+
+    def forward(
+        self,
+        condition: Tensor,  # [B, 3, H, W] in [0, 1], zero where invalid
+        valid: Tensor,  # [B, 1, H, W] bool
+        latent: Tensor | None = None,  # what `latent` gave for them, if it is known
+    ) -> Tensor:
         """[B, channels, H / factor, W / factor]: latents, then trained features."""
         (autoencoder,) = self._autoencoder
-        with torch.no_grad():
-            shown = push_pull(condition, valid) if self.filled else condition
-            latent = autoencoder.encode(shown)
+        if latent is None:
+            latent = self.latent(condition, valid)
         shown = condition * 2 - 1
         if self.validity:
             mask = valid.to(shown.dtype)
@@ -73,12 +83,21 @@ class FrozenEncoder(nn.Module):
         self.channels = autoencoder.latent_channels + 1
 
     @torch.no_grad()
+    def latent(self, condition: Tensor, valid: Tensor) -> Tensor:
+        """[B, latent channels, h, w] of [B, 3, H, W] and [B, 1, H, W]."""
+        (autoencoder,) = self._autoencoder
+        return autoencoder.encode(condition)
+
+    @torch.no_grad()
     def forward(
         self,
         condition: Tensor,  # [B, 3, H, W] in [0, 1], zero where invalid
         valid: Tensor,  # [B, 1, H, W] bool
+        latent: Tensor | None = None,  # what `latent` gave for them, if it is known
     ) -> Tensor:
         """[B, latent channels + 1, h, w] latents, and the share of valid pixels."""
         (autoencoder,) = self._autoencoder
+        if latent is None:
+            latent = self.latent(condition, valid)
         share = functional.avg_pool2d(valid.to(condition.dtype), autoencoder.factor)
-        return torch.cat([autoencoder.encode(condition), share], dim=1)
+        return torch.cat([latent, share.to(latent.dtype)], dim=1)

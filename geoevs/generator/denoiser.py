@@ -56,9 +56,10 @@ class Denoiser(nn.Module):
         condition: Tensor,  # [B, 3, H, W] in [0, 1]
         valid: Tensor,  # [B, 1, H, W] bool
         dropped: Tensor | None = None,  # [B] bool
+        latent: Tensor | None = None,  # [B, L, h, w] the encoder's `latent`, if it is known
     ) -> Tensor:
         """[B, C, h, w] condition features; the null condition for the dropped samples."""
-        features = self.encoder(condition, valid)
+        features = self.encoder(condition, valid, latent)
         if dropped is None:
             return features
         return torch.where(dropped[:, None, None, None], self.null.to(features.dtype), features)

@@ -16,7 +16,7 @@ from geoevs.errors import GeoEvsError
 from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_tensor
 from geoevs.generator.denoiser import Denoiser
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
-from geoevs.generator.training import denoising_losses
+from geoevs.generator.training import denoising_losses, encode_images
 from geoevs.io import to_uint8
 from geoevs.scenes.store import Scene
 from geoevs.training import fingerprint, mixed_precision
@@ -116,6 +116,8 @@ class PriorTask:
     ) -> None:
         self.model, self._images, self._batch = model, images, batch
         self._autoencoder, self._diffusion = autoencoder, diffusion
+        mirrored = images[:, :, ::-1]
+        self._latents = [encode_images(autoencoder, shown) for shown in (images, mirrored)]
         frozen = autoencoder.state_dict().values()
         self.identity = fingerprint(batch, asdict(diffusion), images, *frozen)
 
@@ -125,10 +127,9 @@ class PriorTask:
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The denoising loss of one batch."""
-        device = next(self.model.parameters()).device
-        images = random_crops(self._images, self._batch, self._images.shape[1:3], rng.numpy)
-        with torch.no_grad(), mixed_precision(device):
-            clean = self._autoencoder.encode(images.to(device)).float()
+        picked = _pick(self._images, self._batch, rng.numpy)
+        flips = rng.numpy.integers(2, size=self._batch)
+        clean = torch.stack([self._latents[f][n] for f, n in zip(flips, picked, strict=True)])
         losses = denoising_losses(
             self.model, self._diffusion, clean, None, torch.arange(TIMESTEPS), rng
         )

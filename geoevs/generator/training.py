@@ -14,7 +14,7 @@ from geoevs.conditions.injection import ArtifactInjection
 from geoevs.conditions.masks import MaskLibrary
 from geoevs.conditions.pairs import Pairs
 from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.generator.autoencoder import to_tensor
+from geoevs.generator.autoencoder import Autoencoder, to_tensor
 from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
 from geoevs.generator.denoiser import Denoiser, conditioned
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
@@ -162,8 +162,11 @@ class GeoEvsTask:
             if settings.timesteps == "uniform"
             else prior.diffusion.timesteps(self._sampling.steps, self._sampling.sampler)
         )
-        self._latents = self._encode(pairs.target)
+        self._latents = encode_images(self._autoencoder, pairs.target)
         self.model = _conditional(prior, settings, seed)
+        # Those without a mask, most of all that are seen, are the same at every step too.
+        shown = pairs.rgb * pairs.valid[..., None]
+        self._unmasked = self._condition_latents(shown, pairs.valid)
         self._mean_support = float(pairs.valid.mean())
         masks = [] if injection.library is None else [injection.library.packed]
         self.identity = fingerprint(
@@ -186,11 +189,15 @@ class GeoEvsTask:
         device, count = self._latents.device, self._settings.batch
         picked = self._pick(rng)
         dropped = torch.from_numpy(rng.numpy.random(count) < self._settings.drop).to(device)
-        valid = self._pairs.valid[picked] & self._injection.inject(rng.numpy, count)
-        condition = to_tensor(self._pairs.rgb[picked] * valid[..., None]).to(device)
-        mask = torch.from_numpy(valid)[:, None].to(device)
+        keep = self._injection.inject(rng.numpy, count)
+        valid = self._pairs.valid[picked] & keep
+        rgb = self._pairs.rgb[picked] * valid[..., None]
+        latents, masked = self._unmasked[picked], ~keep.all(axis=(1, 2))
+        if masked.any():
+            latents[masked] = self._condition_latents(rgb[masked], valid[masked])
+        condition, mask = to_tensor(rgb).to(device), torch.from_numpy(valid)[:, None].to(device)
         with mixed_precision(device):
-            features = self.model.features(condition, mask, dropped)
+            features = self.model.features(condition, mask, dropped, latents)
         losses = denoising_losses(
             self.model, self._diffusion, self._latents[picked], features, self._timesteps, rng
         )
@@ -213,16 +220,40 @@ class GeoEvsTask:
         columns = condition, samples, self._pairs.target[picked].astype(np.float32) / 255
         return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
 
-    @torch.no_grad()
-    def _encode(self, targets: np.ndarray) -> Tensor:
-        """[N, L, h, w] latents of all targets, once: they are the same at every step."""
-        device = next(self._autoencoder.parameters()).device
-        parts = []
-        for start in range(0, len(targets), ENCODED_AT_ONCE):
-            images = to_tensor(targets[start : start + ENCODED_AT_ONCE]).to(device)
-            with mixed_precision(device):
-                parts.append(self._autoencoder.encode(images).float())
-        return torch.cat(parts)
+    def _condition_latents(
+        self,
+        rgb: np.ndarray,  # [N, H, W, 3] uint8
+        valid: np.ndarray,  # [N, H, W] bool
+    ) -> Tensor:
+        """[N, L, h, w] the encoder's latents of condition maps."""
+
+        def encode(part: slice) -> Tensor:
+            condition = to_tensor(rgb[part]).to(self._latents.device)
+            mask = torch.from_numpy(valid[part])[:, None].to(condition.device)
+            return self.model.encoder.latent(condition, mask)
+
+        return encode_in_parts(encode, len(rgb), self._latents.device)
+
+
+def encode_images(
+    autoencoder: Autoencoder,
+    images: np.ndarray,  # [N, H, W, 3] uint8
+) -> Tensor:
+    """[N, L, h, w] latents of all images, for a training that sees them at many steps."""
+    device = next(autoencoder.parameters()).device
+    return encode_in_parts(
+        lambda part: autoencoder.encode(to_tensor(images[part]).to(device)), len(images), device
+    )
+
+
+@torch.no_grad()
+def encode_in_parts(encode: Callable[[slice], Tensor], count: int, device: torch.device) -> Tensor:
+    """(count, ...) what `encode` gives for `count` samples, asked for a few at once."""
+    parts = []
+    for start in range(0, count, ENCODED_AT_ONCE):
+        with mixed_precision(device):
+            parts.append(encode(slice(start, start + ENCODED_AT_ONCE)).float())
+    return torch.cat(parts)
 
 
 def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoiser:

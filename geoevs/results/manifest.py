@@ -73,6 +73,21 @@ def make_provenance(
     }
 
 
+def add_provenance(
+    new: Mapping[str, Any], earlier: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """All provenances of a folder of weights, the newest first, without what `new` replaces."""
+    kept = [new]
+    for record in earlier:
+        left = {
+            part: {name: value for name, value in record[part].items() if name not in new[part]}
+            for part in ("files", "trainings")
+        }
+        if left["files"]:
+            kept.append({**record, **left})
+    return kept
+
+
 def _final_losses(path: Path) -> dict[str, float]:
     with whole_file(path):
         rows = pd.read_csv(path)

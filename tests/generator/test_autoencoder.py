@@ -15,9 +15,9 @@ from geoevs.generator.autoencoder import (
 def test_the_nano_autoencoder_keeps_its_shapes():
     nano = Autoencoder(nano_autoencoder(), NANO_BLOCK)
     assert nano.factor == 4
-    assert nano.latent_channels == 8
-    assert nano.encode(torch.rand(1, 3, 8, 12)).shape == (1, 8, 2, 3)
-    assert nano.decode(torch.randn(1, 8, 2, 3)).shape == (1, 3, 8, 12)
+    assert nano.latent_channels == 12
+    assert nano.encode(torch.rand(1, 3, 8, 12)).shape == (1, 12, 2, 3)
+    assert nano.decode(torch.randn(1, 12, 2, 3)).shape == (1, 3, 8, 12)
 
 
 # A public autoencoder halves where it has levels; blocks divide besides.

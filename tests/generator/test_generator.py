@@ -46,7 +46,7 @@ def test_what_is_added_to_an_image_is_without_support(networks):
     generator.denoiser.encoder.register_forward_pre_hook(lambda _, inputs: seen.append(inputs))
     shown, valid = condition(1, 13, 22)
     small = generator.generate(shown, valid, FAST, random())
-    ((x, mask),) = seen
+    ((x, mask, _),) = seen
     assert x.shape == (1, 3, 16, 24)
     np.testing.assert_array_equal(mask[0, 0, :13, :22], valid[0])
     np.testing.assert_array_equal(x[0, :, :13, :22], shown[0].transpose(2, 0, 1))

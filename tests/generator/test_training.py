@@ -1,5 +1,6 @@
 """Training Geo-EVS on eight synthetic pairs."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +46,10 @@ SETTINGS = TrainingSettings(
 
 @pytest.fixture
 def make(networks, pairs, library):
-    """Makes a task of settings that differ from the above; its conditions are kept in `shown`."""
+    """Makes a task of settings that differ from the above.
+
+    It keeps conditions in `shown`, what is encoded of them in `features`.
+    """
 
     def task(seed=0, data=pairs, **changed):
         settings = replace(SETTINGS, **changed)
@@ -53,12 +57,13 @@ def make(networks, pairs, library):
             settings.masks, settings.probability, *data.rgb.shape[1:3], library
         )
         made = GeoEvsTask(networks.prior(), data, injection, settings, seed)
-        made.shown = []
+        made.shown, made.features = [], []
         features = made.model.features
 
-        def remember(condition, valid, dropped=None):
+        def remember(condition, valid, dropped=None, latent=None):
             made.shown.append((condition, valid, dropped))
-            return features(condition, valid, dropped)
+            made.features.append(features(condition, valid, dropped, latent))
+            return made.features[-1]
 
         made.model.features = remember
         return made
@@ -92,6 +97,16 @@ def test_a_batch_is_what_it_is_called(make, pairs):
     # Without injection the conditions are the pairs' own.
     np.testing.assert_array_equal(valid[:, 0], pairs.valid[numbers])
     torch.testing.assert_close(condition, to_tensor(pairs.rgb[numbers]))
+
+
+@pytest.mark.parametrize("probability", [0, 0.5, 1])
+@pytest.mark.parametrize("encoder", ["trained", "frozen"])
+def test_latents_known_beforehand_change_no_features(make, monkeypatch, encoder, probability):
+    monkeypatch.setattr(training, "mixed_precision", lambda device: nullcontext())
+    task = make(masks="boxes-unmatched", probability=probability, batch=12, encoder=encoder)
+    task.losses(rng())
+    (shown,), (features,) = task.shown, task.features
+    torch.testing.assert_close(task.model.features(*shown), features)
 
 
 def test_targets_are_the_pairs_latents(make, pairs, networks, monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 
 from geoevs.errors import GeoEvsError
 from geoevs.results import manifest
-from geoevs.results.manifest import hash_path, make_manifest
+from geoevs.results.manifest import add_provenance, hash_path, make_manifest
 
 CONFIG = {"seed": 3, "run": "a"}
 
@@ -73,3 +73,13 @@ def test_a_missing_package_is_said(monkeypatch):
 def test_without_git_there_is_no_commit(monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
     assert make_manifest(CONFIG, [])["commit"] == "git is not installed"
+
+
+def test_provenance_is_kept_of_weights_that_are_not_replaced():
+    old = {"seed": 0, "files": {"a": "1", "b": "2"}, "trainings": {"of-a": {}, "of-b": {}}}
+    new = {"seed": 1, "files": {"b": "3"}, "trainings": {"of-b": {}}}
+    assert add_provenance(new, []) == [new]
+    first, second = add_provenance(new, [old])
+    assert first == new
+    assert second == {"seed": 0, "files": {"a": "1"}, "trainings": {"of-a": {}}}
+    assert add_provenance(old, [first, second]) == [old]

@@ -94,7 +94,7 @@ def test_pretraining_installs_every_network(workspace):
     for network in ("vggt-nano", "autoencoder", "prior"):
         new = (results / f"pretrain/{network}.safetensors").read_bytes()
         assert (weights / f"{network}.safetensors").read_bytes() == new
-    provenance = read_json(weights / "provenance.json")
+    (provenance,) = read_json(weights / "provenance.json")  # nothing of what was replaced
     assert provenance["trainings"]["prior"]["settings"]["steps"] == 4
     for training in ("vggt-nano", "depth-refiner", "autoencoder", "prior"):
         assert np.isfinite(provenance["trainings"][training]["losses"]["loss"])
