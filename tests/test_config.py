@@ -140,11 +140,14 @@ def test_a_valid_config_passes(check):
     check("seed: 3", "seed: 4")
 
 
-@pytest.mark.parametrize("overlay", [None, "smoke", "pandaset", "paper"])
-def test_the_shipped_configs_pass(overlay):
+SCALES = sorted(path.stem for path in (PROJECT / "workflow/scales").iterdir())
+
+
+@pytest.mark.parametrize("scale", [None, *SCALES])
+def test_the_shipped_configs_pass(scale):
+    overlays = {None: [], "filled-holes": ["ablation", scale]}.get(scale, [scale])
     files = [PROJECT / "config.yaml"]
-    if overlay:
-        files.append(PROJECT / f"workflow/scales/{overlay}.yaml")
+    files += [PROJECT / f"workflow/scales/{overlay}.yaml" for overlay in overlays]
     check_config(merged(*(file.read_text() for file in files)), SCHEMA, files)
 
 
