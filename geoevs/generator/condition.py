@@ -100,4 +100,4 @@ class FrozenEncoder(nn.Module):
         if latent is None:
             latent = self.latent(condition, valid)
         share = functional.avg_pool2d(valid.to(condition.dtype), autoencoder.factor)
-        return torch.cat([latent, share.to(latent.dtype)], dim=1)
+        return torch.cat([latent, share], dim=1)

@@ -116,8 +116,8 @@ class PriorTask:
     ) -> None:
         self.model, self._images, self._batch = model, images, batch
         self._autoencoder, self._diffusion = autoencoder, diffusion
-        mirrored = images[:, :, ::-1]
-        self._latents = [encode_images(autoencoder, shown) for shown in (images, mirrored)]
+        both_ways = images, images[:, :, ::-1]
+        self._latents = torch.stack([encode_images(autoencoder, shown) for shown in both_ways])
         frozen = autoencoder.state_dict().values()
         self.identity = fingerprint(batch, asdict(diffusion), images, *frozen)
 
@@ -128,8 +128,8 @@ class PriorTask:
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The denoising loss of one batch."""
         picked = _pick(self._images, self._batch, rng.numpy)
-        flips = rng.numpy.integers(2, size=self._batch)
-        clean = torch.stack([self._latents[f][n] for f, n in zip(flips, picked, strict=True)])
+        mirrored = rng.numpy.integers(2, size=self._batch)
+        clean = self._latents[mirrored, picked]
         losses = denoising_losses(
             self.model, self._diffusion, clean, None, torch.arange(TIMESTEPS), rng
         )
