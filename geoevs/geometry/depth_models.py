@@ -11,7 +11,7 @@ import numpy as np
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.geometry.lift import lidar_depths
-from geoevs.geometry.scale import fit_scale
+from geoevs.geometry.scale import fit_scale, frame_factor
 from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 from geoevs.scenes.camera import Camera
@@ -93,24 +93,24 @@ class NetworkDepth(ABC):
         )
         if views.has("lidar"):
             points = views.lidar(frame).xyz
-            for number, name in enumerate(views.cameras):
+            cameras = [views.camera(name, frame) for name in views.cameras]
+            measured = [zbuffer(points, one, visibility="footprint").depth for one in cameras]
+            factor = frame_factor(zip(depth, measured, strict=True))
+            for number, camera in enumerate(cameras):
                 sure = None if confidence is None else confidence[number]
-                depth[number] = self._fit_to_lidar(
-                    images[number], depth[number], sure, points, views.camera(name, frame)
-                )
+                fitted = fit_scale(depth[number], sure, measured[number], camera, factor)
+                depth[number] = self.refined(images[number], fitted, points, camera)
         return dict(zip(views.cameras, depth, strict=True))
 
-    def _fit_to_lidar(
+    def refined(
         self,
         image: np.ndarray,  # [H, W, 3]
-        depth: np.ndarray,  # [H, W]
-        confidence: np.ndarray | None,  # [H, W]
+        fitted: np.ndarray,  # [H, W] metres
         points: np.ndarray,  # [N, 3]
         camera: Camera,
     ) -> np.ndarray:
-        """(H, W) float32 metres."""
-        measured = zbuffer(points, camera, visibility="footprint").depth
-        return fit_scale(depth, confidence, measured, camera)
+        """(H, W) float32 metres: the fitted depth, where no network refines it by the LiDAR."""
+        return fitted
 
 
 class VggtDepth(NetworkDepth):
@@ -135,22 +135,20 @@ class VggtDepth(NetworkDepth):
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
         return tuple(maps[0].cpu().numpy() for maps in prediction)
 
-    def _fit_to_lidar(
+    def refined(
         self,
         image: np.ndarray,  # [H, W, 3]
-        depth: np.ndarray,  # [H, W]
-        confidence: np.ndarray | None,  # [H, W]
+        fitted: np.ndarray,  # [H, W] metres
         points: np.ndarray,  # [N, 3]
         camera: Camera,
     ) -> np.ndarray:
-        """(H, W) float32 metres, refined if its weights have a refiner."""
+        """(H, W) float32 metres, refined if the weights have a refiner, as far as LiDAR reaches."""
         from geoevs.geometry.refinement import refine, refiner_inputs
 
-        fitted = super()._fit_to_lidar(image, depth, confidence, points, camera)
         if self.model.refiner is None:
             return fitted
         inputs = refiner_inputs(image, fitted, points, camera)
-        return fitted if inputs is None else refine(self.model.refiner, inputs)
+        return fitted if inputs is None else refine(self.model.refiner, inputs, camera)
 
 
 class DepthAnything3Depth(NetworkDepth):

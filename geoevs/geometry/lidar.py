@@ -14,6 +14,8 @@ from geoevs.scenes.camera import Camera
 # with a longer side than this spans a gap between the points: neither is a surface.
 EDGE_RATIO = 1.2
 LONGEST_SIDE = 0.1
+# Farther than this beside or below all points, LiDAR says nothing about a view.
+REACH = 0.1
 # How far in the image a point may lie to weigh as much as black against white in one channel.
 COLOUR_REACH = 0.25
 # Pixels: the colour of a point's neighbourhood, not of the texture it happened to hit.
@@ -33,8 +35,8 @@ def complete_depth(
     Inverse depth is interpolated linearly (exact on planes) over the Delaunay triangles of the
     points that pass the footprint test. Pixels at occlusion edges, above the highest beam, or
     elsewhere without a triangle take the depth of the point that is nearest in image and colour
-    together, so that outlines follow the image. Far from all points that is only a guess, kept
-    because it is still better than a hole.
+    together, so that outlines follow the image. Where the LiDAR does not reach (`lidar_reach`)
+    there is no depth.
 
     Args:
         points: LiDAR points in the world, metres.
@@ -42,7 +44,7 @@ def complete_depth(
         image: what it recorded.
 
     Returns:
-        (H, W) float32 depth in metres; all 0 where fewer than three points are visible.
+        (H, W) float32 depth in metres, 0 = none; all 0 where fewer than three points are visible.
     """
     shape = camera.height, camera.width
     index = zbuffer(points, camera, visibility="footprint").index
@@ -68,7 +70,28 @@ def complete_depth(
         if not high.any():
             usable = slice(None)
         filled[pixels] = _farthest_of_nearest(candidates[usable], inverse[usable], queries[pixels])
-    return (1.0 / filled).reshape(shape).astype(np.float32)
+    depth = (1.0 / filled).reshape(shape).astype(np.float32)
+    return np.where(lidar_reach(seen, camera) > 0, depth, np.float32(0))
+
+
+def lidar_reach(
+    seen: np.ndarray,  # [H, W] bool: pixels that hold a LiDAR point
+    camera: Camera,
+) -> np.ndarray:
+    """How far LiDAR may decide about the pixels of a view.
+
+    A LiDAR that looks ahead meets the rim of a side camera's view, and none sees what stands
+    closer than its range or below its lowest beam; what it saw there must not spread over the
+    rest. Above its highest beam stands what the beam hit, or the sky.
+
+    Returns:
+        (H, W) float32: 1 at points and above them, from there falling to 0 at REACH beside or
+        below.
+    """
+    covered = np.logical_or.accumulate(seen[::-1], axis=0)[::-1].astype(np.float32)
+    across, down = (2 * round(REACH * camera.K[axis, axis] / 2) + 1 for axis in (0, 1))
+    covered = cv2.dilate(covered, np.ones((down, across), np.uint8))
+    return cv2.blur(covered, (across, down), borderType=cv2.BORDER_REPLICATE)
 
 
 def _upward(

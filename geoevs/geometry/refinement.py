@@ -11,14 +11,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from geoevs.geometry.lidar import complete_depth
+from geoevs.geometry.lidar import complete_depth, lidar_reach
 from geoevs.projection import zbuffer
 from geoevs.scenes.camera import Camera
 
 NANO_CHANNELS = (16, 32, 48, 64, 64)
 INPUTS = 9
 COLOURS = slice(0, 3)
-FITTED, DIFFERENCE = 3, 5  # channels of the input that the output builds on
+# Channels of the input: what the output builds on, and where LiDAR pixels are.
+FITTED, DIFFERENCE, MEASURED = 3, 5, 7
 CENTRE = 2.5  # logarithm of a street's typical depth, 12 m
 NEAREST, FARTHEST = 0.5, 200.0  # metres
 ELEVATION_GAIN = 4.0
@@ -84,12 +85,14 @@ def refiner_inputs(
 
     Returns:
         (INPUTS, H, W) float32: colours; logarithms of the fitted depth and of the LiDAR's completed
-        one, and their difference; at LiDAR pixels how far that is off, and where these are; the
-        sine of every pixel's elevation. None where the LiDAR sees too little to be completed.
+        one, which is the fitted one where the LiDAR does not reach, and their difference; at LiDAR
+        pixels how far that is off, and where these are; the sine of every pixel's elevation. None
+        where the LiDAR sees too little to be completed.
     """
     completed = complete_depth(points, camera, image)
     if not completed.any():
         return None
+    completed = np.where(completed > 0, completed, fitted)
     sparse = zbuffer(points, camera, visibility="footprint").depth
     known = sparse > 0
     first, second, measured = (
@@ -109,8 +112,14 @@ def _elevation(camera: Camera) -> np.ndarray:
     return up.reshape(camera.height, camera.width)
 
 
-def refine(refiner: DepthRefiner, inputs: np.ndarray) -> np.ndarray:  # [INPUTS, H, W]
-    """(H, W) float32 metres."""
+def refine(
+    refiner: DepthRefiner,
+    inputs: np.ndarray,  # [INPUTS, H, W], see `refiner_inputs`
+    camera: Camera,
+) -> np.ndarray:
+    """(H, W) float32 metres: refined depth as far as LiDAR reaches, then ever more the fitted."""
     device = next(refiner.parameters()).device
     with torch.inference_mode():
-        return refiner(torch.from_numpy(inputs)[None].to(device))[0].exp().cpu().numpy()
+        refined = refiner(torch.from_numpy(inputs)[None].to(device))[0].cpu().numpy()
+    fitted = inputs[FITTED] + CENTRE
+    return np.exp(fitted + lidar_reach(inputs[MEASURED] > 0, camera) * (refined - fitted))

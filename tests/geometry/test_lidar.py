@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geoevs.geometry.lidar import complete_depth
+from geoevs.geometry.lidar import complete_depth, lidar_reach
 from geoevs.scenes.camera import Camera
 
 HEIGHT, WIDTH = 40, 60
@@ -99,9 +99,32 @@ def test_points_behind_the_camera_give_no_depth():
 def test_points_in_one_line_give_the_nearest_depth():
     uv = np.array([[10.5, 20.5], [30.5, 20.5], [50.5, 20.5]])
     depth = complete_depth(lift(uv, np.array([5.0, 6.0, 7.0])), CAMERA, GREY)
-    assert (depth[:, :17] == 5).all()
-    assert (depth[:, 23:37] == 6).all()
-    assert (depth[:, 43:] == 7).all()
+    assert (depth[:21, 7:14] == 5).all()
+    assert (depth[:21, 27:34] == 6).all()
+    assert (depth[:21, 47:54] == 7).all()
+
+
+def test_lidar_reaches_what_stands_above_it_and_little_else():
+    seen = np.zeros((HEIGHT, WIDTH), bool)
+    seen[15:25:3, 40:50] = True  # down to row 24; REACH is 6 pixels
+    reach = lidar_reach(seen, CAMERA)
+    assert reach.shape == seen.shape
+    assert (reach[:25, 40:50] == 1).all()
+    across, down = reach[10], reach[:, 45]
+    np.testing.assert_allclose(across[33:41], np.arange(8) / 7, atol=1e-6)
+    np.testing.assert_allclose(across[49:57], np.arange(7, -1, -1) / 7, atol=1e-6)
+    np.testing.assert_allclose(down[24:32], np.arange(7, -1, -1) / 7, atol=1e-6)
+    assert not across[:34].any()
+    assert not lidar_reach(np.zeros_like(seen), CAMERA).any()
+
+
+def test_depth_ends_where_lidar_does():
+    rows, columns = np.mgrid[10:20:2, 0:9] + 0.5
+    uv = np.column_stack([columns.ravel(), rows.ravel()])
+    depth = complete_depth(lift(uv, slanted(uv)), CAMERA, GREY)
+    assert (depth[:20, :9] > 0).all()
+    assert not depth[:, 16:].any()
+    assert not depth[26:].any()
 
 
 def test_resolution_changes_nothing_but_the_grid():

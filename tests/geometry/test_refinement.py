@@ -8,12 +8,13 @@ from geoevs.adapter import Rng, Views
 from geoevs.errors import GeoEvsError
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.finetuning import FAR
-from geoevs.geometry.lidar import complete_depth
+from geoevs.geometry.lidar import complete_depth, lidar_reach
 from geoevs.geometry.refinement import (
     COLOURS,
     DIFFERENCE,
     FITTED,
     INPUTS,
+    MEASURED,
     DepthRefiner,
     refiner_inputs,
 )
@@ -116,8 +117,11 @@ def test_a_stored_refiner_refines_where_lidar_may_be_seen(scene, weights, tmp_pa
         camera = views.camera(name, 0)
         inputs = refiner_inputs(views.image(name, 0), fitted[name], views.lidar(0).xyz, camera)
         with torch.inference_mode():
-            expected = refiner(torch.from_numpy(inputs)[None])[0].exp()
-        np.testing.assert_allclose(depth, expected, rtol=1e-5)
+            expected = refiner(torch.from_numpy(inputs)[None])[0].exp().numpy()
+        reach = lidar_reach(inputs[MEASURED] > 0, camera)
+        assert (reach == 1).any()
+        np.testing.assert_allclose(depth[reach == 1], expected[reach == 1], rtol=1e-5)
+        np.testing.assert_allclose(depth[reach == 0], fitted[name][reach == 0], rtol=1e-5)
 
 
 def test_views_are_read_with_their_truth(scene, truth, weights):
