@@ -11,7 +11,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from geoevs.adapter import find_methods, method_class
-from geoevs.config_files import explain, locate, located
+from geoevs.config_files import check_repeats, explain, locate, located
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.plugins import check_options
@@ -38,9 +38,12 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
         files: the files it was merged from, later ones winning; mistakes are located in them.
 
     Raises:
-        GeoEvsError: a key is unknown, missing or wrong; a data set, source, method or option does
-            not exist; two partitions share a frame; there is nothing to evaluate or to train on.
+        GeoEvsError: a key is unknown, missing, repeated or wrong; a data set, source, method or
+            option does not exist; two partitions share a frame; there is nothing to evaluate or to
+            train on.
     """
+    for file in files:
+        check_repeats(file)
     validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text()))
     mistakes = sorted(
         validator.iter_errors(config), key=lambda mistake: [str(part) for part in mistake.path]

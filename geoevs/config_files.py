@@ -34,6 +34,29 @@ def check_syntax(path: str | Path) -> None:
         raise GeoEvsError(f"{path} is not plain UTF-8 text ({reason}); save it as such") from None
 
 
+def check_repeats(path: str | Path) -> None:
+    """Check that no key of a config file stands twice; YAML would take the last without a word.
+
+    Raises:
+        GeoEvsError: one does; the sentence names both lines.
+    """
+    nodes = [yaml.compose(Path(path).read_text())]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, yaml.SequenceNode):
+            nodes.extend(node.value)
+        elif isinstance(node, yaml.MappingNode):
+            lines: dict[str, int] = {}
+            for name, value in node.value:
+                line = name.start_mark.line + 1
+                first = lines.setdefault(str(name.value), line)
+                if first != line:
+                    raise GeoEvsError(
+                        f"{path}:{line}: '{name.value}' stands in line {first} already; remove one"
+                    )
+                nodes.append(value)
+
+
 def explain(mistake: ValidationError) -> tuple[Key, str]:
     """The key at fault in a schema's complaint, and a sentence on what is wrong with it."""
     key: Key = tuple(mistake.absolute_path)

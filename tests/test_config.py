@@ -108,6 +108,7 @@ def merged(*texts: str) -> dict:
     [
         ("datasets: []", "datasets: [reel]", "no data set 'reel' .*did you mean 'real'"),
         ("datasets: []", "datasets: [real]", "'real' is under 'evaluate' too"),
+        ("support: [0.02]", "support: [0.02], support: [0.03]", "'support' stands in line"),
         ("support: [0.02]", "suport: [0.02]", "'suport' is not a known key"),
         ("support: [0.02]", "support: [-1]", "-1 is less than the minimum"),
         ("best: {inpaint: push-pull}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),

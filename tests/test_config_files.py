@@ -2,7 +2,7 @@
 
 import pytest
 
-from geoevs.config_files import check_syntax
+from geoevs.config_files import check_repeats, check_syntax
 from geoevs.errors import GeoEvsError
 
 
@@ -25,3 +25,17 @@ def test_a_file_that_is_not_yaml_is_one_sentence_with_its_line(tmp_path, text, s
 
 def test_a_config_that_is_not_there_is_left_to_snakemake(tmp_path):
     check_syntax(tmp_path / "none.yaml")
+
+
+def test_a_key_that_stands_twice_is_named_with_both_lines(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("a: 1\nb:\n- {c: 1}\n- c: 2\n  d: 3\n  c: 4\n")
+    with pytest.raises(GeoEvsError, match=f"^{path}:6: 'c' stands in line 4 already; remove one$"):
+        check_repeats(path)
+
+
+@pytest.mark.parametrize("text", ["", "a: {b: 1}\nc: {b: 1}\nd: [{b: 1}, {b: 1}]\n"])
+def test_a_key_may_stand_in_two_places(tmp_path, text):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    check_repeats(path)
