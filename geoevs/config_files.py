@@ -49,11 +49,12 @@ def check_repeats(path: str | Path) -> None:
             lines: dict[str, int] = {}
             for name, value in node.value:
                 line = name.start_mark.line + 1
-                first = lines.setdefault(str(name.value), line)
-                if first != line:
+                if name.value in lines:
                     raise GeoEvsError(
-                        f"{path}:{line}: '{name.value}' stands in line {first} already; remove one"
+                        f"{path}:{line}: '{name.value}' stands in line {lines[name.value]} already;"
+                        " remove one"
                     )
+                lines[name.value] = line
                 nodes.append(value)
 
 
