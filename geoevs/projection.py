@@ -18,8 +18,11 @@ import numpy as np
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.projection_kernels import (
     lens_of,
+    placing_of,
     project_numba,
     project_torch,
+    unproject_numba,
+    unproject_torch,
     zbuffer_numba,
     zbuffer_torch,
 )
@@ -123,22 +126,10 @@ def unproject_depth(
             f"the depth map is {' x '.join(map(str, depth.shape))} but camera '{camera.name}' is "
             f"{camera.height} x {camera.width}; resize one to the other"
         )
-    tensor = _is_tensor(depth)
-    flat = depth.detach().double().reshape(-1) if tensor else np.ravel(depth).astype(np.float64)
-    usable = (flat > 0) & (flat < np.inf)
-    pixels = usable.nonzero()[:, 0] if tensor else np.flatnonzero(usable)
-    z = flat[pixels]
-    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-    row = (pixels // camera.width).double() if tensor else pixels // camera.width
-    column = (pixels % camera.width).double() if tensor else pixels % camera.width
-    y = (row + 0.5 - cy) / fy
-    x = (column + 0.5 - cx) / fx
-    columns = [
-        axis[0] * (x * z) + axis[1] * (y * z) + axis[2] * z + axis[3]
-        for axis in camera.world_from_camera[:3].tolist()
-    ]
-    stack = sys.modules["torch"].stack if tensor else np.stack
-    return stack(columns, 1), pixels
+    placing = placing_of(camera)
+    if _is_tensor(depth):
+        return unproject_torch(depth, placing)
+    return unproject_numba(np.asarray(depth), placing)
 
 
 def zbuffer(

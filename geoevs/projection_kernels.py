@@ -95,6 +95,55 @@ def zbuffer_numba(points, lens):
     return index[:pixels].reshape(shape), nearest[:pixels].reshape(shape)
 
 
+def placing_of(camera: Camera) -> tuple[float, ...]:
+    """A camera the other way round: world_from_camera by rows, fx, cx, fy, cy."""
+    K = camera.K
+    intrinsics = (K[0, 0], K[0, 2], K[1, 1], K[1, 2])
+    return tuple(map(float, (*camera.world_from_camera[:3].ravel(), *intrinsics)))
+
+
+def unproject_columns(column, row, z, placing):
+    """Pixels' centres at depth z to world coordinates: scalars, arrays or tensors."""
+    x = (column + 0.5 - placing[13]) / placing[12] * z
+    y = (row + 0.5 - placing[15]) / placing[14] * z
+    px = placing[0] * x + placing[1] * y + placing[2] * z + placing[3]
+    py = placing[4] * x + placing[5] * y + placing[6] * z + placing[7]
+    pz = placing[8] * x + placing[9] * y + placing[10] * z + placing[11]
+    return px, py, pz
+
+
+_unproject = numba.njit(unproject_columns, error_model="numpy")
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def unproject_numba(depth, placing):
+    """(points [M, 3], flat pixels [M]) of the pixels whose depth is positive and finite."""
+    height, width = depth.shape
+    points = np.empty((height * width, 3))
+    pixels = np.empty(height * width, np.int64)
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            z = np.float64(depth[row, column])
+            if 0.0 < z < np.inf:
+                px, py, pz = _unproject(column, row, z, placing)
+                points[count, 0], points[count, 1], points[count, 2] = px, py, pz
+                pixels[count] = row * width + column
+                count += 1
+    return points[:count], pixels[:count]
+
+
+def unproject_torch(depth, placing):
+    """`unproject_numba` in torch ops, on the depth's device."""
+    import torch
+
+    width = depth.shape[1]
+    flat = depth.detach().double().reshape(-1)
+    pixels = ((flat > 0) & (flat < torch.inf)).nonzero()[:, 0]
+    row, column = (pixels // width).double(), (pixels % width).double()
+    return torch.stack(unproject_columns(column, row, flat[pixels], placing), 1), pixels
+
+
 def project_torch(points, lens):
     """`project_numba` in torch ops, on the points' device."""
     import torch

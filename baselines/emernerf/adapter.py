@@ -44,7 +44,7 @@ class Method:
         needs=("lidar", "tracks"),
         citation="Yang et al.: EmerNeRF, ICLR 2024",
     )
-    iterations: int = 750
+    iterations: int = 400
     rays: int = 1024
     learning_rate: float = 0.01
     levels: int = 8
@@ -103,9 +103,12 @@ class Method:
         """Render the fields; source images keep their appearance, other views get the mean."""
         import torch
 
+        from baselines.emernerf.sampling import median_distance
+
         seen, directions = self._look(camera, frame)
         rgb = torch.cat([part.rgb for part in seen]).clamp(0, 1).cpu().numpy()
-        ranges = torch.cat([part.depth for part in seen]).cpu().numpy()
+        medians = [median_distance(part.weights, part.distances) for part in seen]
+        ranges = torch.cat(medians).cpu().numpy()
         solid = torch.cat([part.opacity for part in seen]).cpu().numpy() > SOLID
         along = directions @ camera.optical_axis.astype(np.float32)
         shape = camera.height, camera.width

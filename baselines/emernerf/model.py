@@ -71,7 +71,7 @@ class Rendered(NamedTuple):
     """What rays see; `rgb` is None where only geometry was asked for."""
 
     rgb: Tensor | None  # [R, 3]
-    depth: Tensor  # [R] metres along the ray
+    depth: Tensor  # [R] metres along the ray, the mean that losses need
     opacity: Tensor  # [R]
     weights: Tensor  # [R, S]
     edges: Tensor  # [R, S + 1] in [0, 1]

@@ -49,6 +49,23 @@ def weigh(
     return (-before).exp() * -torch.expm1(-thickness)
 
 
+def median_distance(
+    weights: Tensor,  # [R, S]
+    distances: Tensor,  # [R, S + 1] of the samples' edges
+) -> Tensor:
+    """(R,) metres along each ray where half of the light that ends in it has ended.
+
+    The mean would float between a surface and what is seen behind its edge.
+    """
+    ended = weights.cumsum(1)
+    half = ended[:, -1:] / 2
+    index = torch.searchsorted(ended, half).clamp_max(weights.shape[1] - 1)
+    weight = weights.gather(1, index)
+    share = 1 - (ended.gather(1, index) - half) / weight.clamp_min(STABLE)
+    near, far = distances.gather(1, index), distances.gather(1, index + 1)
+    return (near + share.clamp(0, 1) * (far - near))[:, 0]
+
+
 def resample(
     proposal: Proposal,
     samples: int,

@@ -11,6 +11,7 @@ from baselines.emernerf.sampling import (
     FAR,
     NEAR,
     Proposal,
+    median_distance,
     proposal_loss,
     propose,
     resample,
@@ -107,3 +108,18 @@ def test_a_sample_may_spread_over_several_of_a_proposals():
     edges = torch.tensor([[0.1, 0.6]])  # touches all three, whose sum is 0.6
     loss = proposal_loss(edges, torch.tensor([[0.8]]), [fine])
     assert loss.item() == pytest.approx((0.8 - 0.6) ** 2 / 0.8, rel=1e-5)
+
+
+def test_the_median_lies_where_half_of_the_light_has_ended():
+    distances = torch.tensor([[0.0, 1.0, 3.0, 7.0]]).expand(4, -1)
+    weights = torch.tensor(
+        [
+            [0.2, 0.4, 0.2],  # half of 0.8 after a half of the second sample
+            [0.0, 0.0, 1.0],
+            [0.1, 0.1, 0.8],  # 0.3 of the last sample's 0.8
+            [0.0, 0.0, 0.0],  # nothing ends anywhere
+        ]
+    )
+    found = median_distance(weights, distances)
+    torch.testing.assert_close(found[:3], torch.tensor([2.0, 5.0, 4.5]))
+    assert found[3].isfinite()
