@@ -44,7 +44,7 @@ class Method:
         needs=("lidar", "tracks"),
         citation="Yang et al.: EmerNeRF, ICLR 2024",
     )
-    iterations: int = 400
+    iterations: int = 750
     rays: int = 1024
     learning_rate: float = 0.01
     levels: int = 8
