@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # torch is imported where the field is made: configs are checked without one.
 
+STEPS_AN_IMAGE = 19
 CHUNK = 2048  # rays rendered at once, so that what is known of their samples stays in cache
 SOLID = 0.5  # opacity from which a pixel has a depth
 MODEL_FILE, PLACE_FILE = "field.safetensors", "place.json"
@@ -29,7 +30,8 @@ class Method:
     """The published method at the size of this suite's scenes; see docs/emernerf.md.
 
     Args:
-        iterations: optimiser steps; a budget of seconds may end the fit earlier.
+        iterations: optimiser steps; None: STEPS_AN_IMAGE for each. A budget of seconds may end the
+            fit earlier.
         rays: through pixels in each step.
         learning_rate: Adam's, at its highest.
         levels: of the static hash grid.
@@ -44,7 +46,7 @@ class Method:
         needs=("lidar", "tracks"),
         citation="Yang et al.: EmerNeRF, ICLR 2024",
     )
-    iterations: int = 750
+    iterations: int | None = None
     rays: int = 1024
     learning_rate: float = 0.01
     levels: int = 8
@@ -57,10 +59,9 @@ class Method:
 
     def __post_init__(self) -> None:
         for name in ("iterations", "rays", "learning_rate", "levels", "log2_entries", "width"):
-            if not getattr(self, name) > 0:
-                raise GeoEvsError(
-                    f"emernerf's option '{name}' is {getattr(self, name)}; make it positive"
-                )
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise GeoEvsError(f"emernerf's option '{name}' is {value}; make it positive")
         self.samples = tuple(self.samples)
         if len(self.samples) != 3 or min(self.samples) < 1:
             raise GeoEvsError(
@@ -91,11 +92,12 @@ class Method:
         rays = TrainingRays.make(views, clouds, self._place)
         self._model = self._new_model(moving, rng)
         until = start + (budget.seconds if budget.seconds is not None else float("inf"))
-        fitting = Fitting(self.iterations, self.rays, self.learning_rate)
-        with training_bar(f"EmerNeRF of {views.scene_name}", self.iterations) as report:
+        iterations = self.iterations or STEPS_AN_IMAGE * len(self._images)
+        fitting = Fitting(iterations, self.rays, self.learning_rate)
+        with training_bar(f"EmerNeRF of {views.scene_name}", iterations) as report:
             steps = fit_model(self._model, rays, fitting, until, rng.torch, report)
-        if steps < self.iterations:
-            notes.append(f"{steps} of {self.iterations} iterations in the budget")
+        if steps < iterations:
+            notes.append(f"{steps} of {iterations} iterations in the budget")
         parameters = sum(p.numel() for p in self._model.parameters())
         return FitReport(parameters=parameters, note="; ".join(notes))
 

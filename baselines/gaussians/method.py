@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # torch is imported where a scene is made: configs are checked without one.
 
+STEPS_A_PHOTOGRAPH = 62
 SOLID = 0.5  # opacity from which a pixel has a depth
 FILE = "scene.npz"
 
@@ -29,13 +30,14 @@ class GaussianMethod:
     """A method that trains the nodes of a scene; see docs/gaussians.md.
 
     Args:
-        iterations: optimiser steps; a budget of seconds may end the fit earlier.
+        iterations: optimiser steps; None: STEPS_A_PHOTOGRAPH for each. A budget of seconds may end
+            the fit earlier.
         gaussians: how many the background has; None: as few as the scene needs.
         densification: `mcmc` or `gradient`.
     """
 
     info: ClassVar[MethodInfo]
-    iterations: int = 2500
+    iterations: int | None = None
     gaussians: int | None = None
     densification: str = "mcmc"
     _graph: "SceneGraph" = field(init=False)
@@ -60,21 +62,22 @@ class GaussianMethod:
         from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
 
         photos = photos_of(views, usable_device())
+        iterations = self.iterations or STEPS_A_PHOTOGRAPH * len(photos)
         self._graph, extents, own_loss, notes = prepare(photos)
         choice = None
         if self.gaussians is None:
             if len(photos) >= HELD_OUT:
-                choice = SizeChoice(self.iterations)
+                choice = SizeChoice(iterations)
             else:
                 notes.append(f"{len(photos)} views are too few to choose a size by")
         cap = self.gaussians or (MOST if choice else STARTING)
-        strategy = make_strategy(self.densification, cap, self.iterations)
-        trainer = Trainer(self._graph, self.iterations, extents, strategy, own_loss, rng.torch)
+        strategy = make_strategy(self.densification, cap, iterations)
+        trainer = Trainer(self._graph, iterations, extents, strategy, own_loss, rng.torch)
         title = f"{self.info.name} of {views.scene_name}"
-        with training_bar(title, self.iterations) as report:
+        with training_bar(title, iterations) as report:
             steps = train(trainer, photos, choice, until, rng.torch, report)
-        if steps < self.iterations:
-            notes.append(f"{steps} of {self.iterations} iterations in the budget")
+        if steps < iterations:
+            notes.append(f"{steps} of {iterations} iterations in the budget")
         return FitReport(len(self._graph), self._graph.parameters(), "; ".join(notes))
 
     def render(self, camera: Camera, frame: int) -> Rendering:

@@ -123,6 +123,9 @@ def test_a_budget_ends_the_fit(still):
 def test_a_budget_that_is_spent_before_the_fit_still_leaves_a_model(still):
     method, report = fit(still, Budget(seconds=0.0))
     assert "0 of 4 iterations in the budget" in report.note
+    _, report = fit(still, Budget(seconds=0.0), iterations=None)
+    images = len(still.frames) * len(still.cameras)
+    assert f"0 of {19 * images} iterations in the budget" in report.note
     assert np.isfinite(method.render(still.camera("front", 0), 0).rgb).all()
 
 

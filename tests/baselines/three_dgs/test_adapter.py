@@ -52,6 +52,14 @@ def test_a_spent_budget_still_leaves_a_scene(scene):
     assert method.render(scene.camera("front", 0), 0).rgb.shape == (48, 72, 3)
 
 
+def test_steps_are_as_many_as_the_photographs_ask_for(scene):
+    _, one = fit(scene, seconds=0.0, iterations=None, cameras=("front",))
+    _, both = fit(scene, seconds=0.0, iterations=None, cameras=("front", "left"))
+    photographs = len(scene.frames)
+    assert f"0 of {62 * photographs} iterations" in one.note
+    assert f"0 of {124 * photographs} iterations" in both.note
+
+
 @pytest.mark.parametrize("option", ["iterations", "gaussians"])
 def test_bad_options_are_one_sentence(option):
     with pytest.raises(GeoEvsError, match=f"option '{option}' is 0; make it 1 or more"):
