@@ -329,26 +329,3 @@ def test_a_config_that_is_not_yaml_is_one_sentence(workspace):
     (workspace.folder / "config.yaml").write_text("run: smoke\nevaluate: [street\n")
     sentence = "config.yaml:3: this is not YAML (expected ',' or ']'"
     assert sentence in refusal(workspace.snakemake("-n"))
-
-
-@pytest.mark.skipif(
-    "GEOEVS_PANDASET" not in os.environ,
-    reason="set GEOEVS_PANDASET to the folder that holds PandaSet sequences such as 002",
-)
-def test_real_frames_run_too(workspace):
-    (workspace.folder / "small.yaml").write_text(
-        "resolution: [96, 96]\n"
-        'datasets: {pandaset: {partitions: {test: ["002@65-65"]}}}\n'
-        "methods: {reproject: null, reproject-inpaint.navier-stokes: null, reference: null,"
-        " nearest-view: null, geo-evs-support: null,"
-        " three-dgs: null, street-gaussians: null, emernerf: null}\n"
-        "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
-        "freevs: {steps: 2, sampling: {steps: 1}}\n"
-    )
-    scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
-    run = workspace.snakemake("--configfile", *scale, "--", "tables")
-    assert run.returncode == 0, run.stderr[-3000:]
-    table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
-    means = table.set_index("method")["sparse_psnr"]
-    assert means["reproject-inpaint"] > means["mean-colour"] + 3
-    assert np.isfinite(means[["geo-evs", "freevs"]]).all()
