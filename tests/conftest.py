@@ -1,12 +1,22 @@
 """What tests of several packages share."""
 
+import os
+
 import pytest
 from hypothesis import settings
+
+from geoevs.protocol.isolate import THREAD_VARIABLES
 
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes():
+    """Processes that share the files get one thread each: idle ones spin, and slow the others."""
+    os.environ |= dict.fromkeys(THREAD_VARIABLES, "1")
 
 
 def pytest_collection_modifyitems(items):

@@ -33,8 +33,14 @@ class Usage:
     gpu_memory: int
 
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Read by PyTorch, NumPy's linear algebra, and Numba for its default."""
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+"""Read by PyTorch, by NumPy's linear algebra, and, each its own, by Numba and OpenCV."""
 
 
 def run_isolated(

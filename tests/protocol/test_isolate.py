@@ -50,6 +50,10 @@ def stubborn():
 
 def ask():
     return sys.stdin.read()
+
+def threads():
+    import cv2, numba, torch
+    return [cv2.getNumThreads(), numba.get_num_threads(), torch.get_num_threads()]
 """
 
 
@@ -130,6 +134,10 @@ def test_peak_memory_is_the_childs_own(isolated):
 
 def test_a_result_that_is_not_json_is_a_failure(isolated):
     assert failure(isolated, "unspeakable").startswith("TypeError: Object of type set is not JSON")
+
+
+def test_no_library_starts_more_threads_than_the_budget_has(isolated):
+    assert isolated("threads")[0] == [1, 1, 1]
 
 
 def test_threads_and_exit_hooks_change_nothing(isolated):

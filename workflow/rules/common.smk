@@ -43,7 +43,11 @@ except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
 
 # `geoevs` is the one beside this Python, whether or not its environment is activated.
-shell.prefix(f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH; ")
+# Numba and OpenCV do not heed what Snakemake sets for other libraries, and their idle threads spin.
+shell.prefix(
+    f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH;"
+    " export NUMBA_NUM_THREADS=$OMP_NUM_THREADS OPENCV_FOR_THREADS_NUM=$OMP_NUM_THREADS; "
+)
 
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]
