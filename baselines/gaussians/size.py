@@ -6,6 +6,7 @@ a round has cost: a Gaussian is kept if it is worth its price in decibels, the s
 """
 
 import copy
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -51,9 +52,15 @@ class SizeChoice:
         self.held: list[Photo] = []
 
     def hold_out(self, photos: "Sequence[Photo]") -> "list[Photo]":
-        """Take one in HELD_OUT photographs; the others are returned, to train on."""
-        self.held = list(photos[HELD_OUT - 1 :: HELD_OUT])
-        return [photo for n, photo in enumerate(photos, start=1) if n % HELD_OUT]
+        """Take one in HELD_OUT photographs; the others are returned, to train on.
+
+        Args:
+            photos: frame by frame, all cameras in turn.
+        """
+        cameras = sum(photo.frame == photos[0].frame for photo in photos)
+        places = held_out(len(photos), cameras)
+        self.held = [photos[place] for place in places]
+        return [photo for place, photo in enumerate(photos) if place not in places]
 
     def update(self, step: int, trainer: "Trainer", photos: "Sequence[Photo]") -> bool:
         """Called after every step; whether the choice is made."""
@@ -66,9 +73,28 @@ class SizeChoice:
             if step < self._last:
                 delete(trainer.graph, optimiser, photos)
                 return False
-        trainer.optimisers["background"] = self._best
-        trainer.graph.background.gaussians = self._best.gaussians
+        self.settle(trainer)
         return True
+
+    def settle(self, trainer: "Trainer") -> None:
+        """Take up the best state again, if any was judged: the last deletion was not."""
+        if self._best is not None:
+            trainer.optimisers["background"] = self._best
+            trainer.graph.background.gaussians = self._best.gaussians
+
+
+def held_out(count: int, cameras: int) -> list[int]:
+    """Places of one in HELD_OUT of `count` photographs, which are listed camera after camera.
+
+    Where HELD_OUT and the number of cameras share a factor, even steps would meet some cameras
+    alone, so that every round of them begins one place earlier.
+
+    >>> held_out(16, 2), held_out(40, 5)
+    ([7, 14], [7, 15, 23, 31, 39])
+    """
+    shared = math.gcd(HELD_OUT, cameras)
+    turns = range(count // HELD_OUT)
+    return [HELD_OUT * turn + HELD_OUT - 1 - turn // (cameras // shared) % shared for turn in turns]
 
 
 @torch.no_grad()

@@ -67,7 +67,7 @@ def photos_of(views: Views, device: str) -> list[Photo]:
 
 
 def make_strategy(name: str, cap: int, steps: int) -> Strategy:
-    """A strategy with its published schedule, as far as there is one, in a training of `steps`.
+    """A strategy that acts in fixed shares of a training of `steps`.
 
     Raises:
         GeoEvsError: there is no such strategy.
@@ -197,6 +197,8 @@ def train(
     for step in range(trainer.steps):
         now = time.monotonic()
         if now >= until:
+            if choice is not None:
+                choice.settle(trainer)
             break
         number = next(order, None)
         if number is None:

@@ -2,17 +2,18 @@
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from baselines.gaussians import size
-from baselines.gaussians.densification import GradientStrategy, MCMCStrategy
+from baselines.gaussians import size, training
+from baselines.gaussians.densification import GradientStrategy, MCMCStrategy, Schedule
 from baselines.gaussians.initialisation import starting_points
 from baselines.gaussians.model import gaussians_from_points
 from baselines.gaussians.nodes import Background, SceneGraph, Sky
-from baselines.gaussians.size import HELD_OUT, SizeChoice, psnr
+from baselines.gaussians.size import HELD_OUT, SizeChoice, held_out, psnr
 from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
 from geoevs.errors import GeoEvsError
 
@@ -95,9 +96,10 @@ def learned(trainer):
     return [*graph.background.gaussians.named_parameters(), ("colours", graph.sky.colours)]
 
 
-def test_strategies_have_the_published_schedule():
+def test_strategies_act_in_fixed_shares_of_a_training():
     strategy = make_strategy("gradient", 9, 30_000)
     assert isinstance(strategy, GradientStrategy)
+    assert strategy.schedule == Schedule(start=1200, stop=16_500, every=240)
     assert (strategy.reset_every, strategy.cap) == (3000, 9)
     assert isinstance(make_strategy("mcmc", 9, 10), MCMCStrategy)
     with pytest.raises(GeoEvsError, match="no densification 'mcm'; did you mean 'mcmc'"):
@@ -131,6 +133,31 @@ def test_held_out_views_teach_only_after_the_choice(make_trainer, photos, monkey
     assert held is photos[-1]
     first = next(step for step, photo in enumerate(seen) if photo is held)
     assert round(size.START * STEPS) < first < STEPS
+
+
+@pytest.mark.parametrize("cameras", range(1, 10))
+def test_held_out_views_are_of_all_cameras(cameras):
+    places = held_out(HELD_OUT * cameras, cameras)
+    assert {place % cameras for place in places} == set(range(cameras))
+    assert all(HELD_OUT * n <= place < HELD_OUT * (n + 1) for n, place in enumerate(places))
+
+
+def test_a_deletion_that_nothing_judged_is_undone(make_trainer, photos, monkeypatch):
+    deleted = []
+
+    def delete(*arguments):
+        real(*arguments)
+        deleted.append(time.monotonic())
+
+    real = size.delete
+    monkeypatch.setattr(size, "delete", delete)
+    # Time is up right after the first deletion.
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + 1e6 * len(deleted))
+    monkeypatch.setattr(training, "time", clock)
+    trainer = make_trainer()
+    steps, _ = run(trainer, photos, SizeChoice(STEPS), until=time.monotonic() + 1e5)
+    assert steps == round(size.START * STEPS) + 1
+    assert len(trainer.graph) == 300
 
 
 def test_what_shows_least_goes_first(make_trainer, photos):
