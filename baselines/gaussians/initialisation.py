@@ -42,7 +42,7 @@ def starting_points(
     most: int,
     rng: np.random.Generator,
     first: str = "sfm",
-    cache: Path | None = None,
+    cache: str | Path | None = None,
 ) -> StartingPoints:
     """Points to put the first Gaussians at, from the first source that has enough of them.
 
@@ -53,7 +53,7 @@ def starting_points(
         most: a random choice of this many points is kept of more.
         rng: chooses, and draws random points.
         first: one of SOURCES.
-        cache: an .npz file that keeps the points of SfM; it is remade when the views differ.
+        cache: a folder that keeps the points of SfM, one file for each set of views.
 
     Raises:
         GeoEvsError: there is no such source, or the cache is damaged.
@@ -88,15 +88,16 @@ def scene_extent(views: Views) -> float:
     return max(EXTENT_MARGIN * float(radius), LEAST_EXTENT)
 
 
-def _sfm_points(views: Views, cache: Path | None) -> StartingPoints:
-    identity = _identity(views) if cache else ""
-    if cache and cache.exists():
-        arrays = read_arrays(cache)
-        if {"xyz", "rgb", "identity"} <= arrays.keys() and arrays["identity"] == identity:
-            return _from_sfm(arrays["xyz"], arrays["rgb"])
+def _sfm_points(views: Views, cache: str | Path | None) -> StartingPoints:
+    if cache is None:
+        return _from_sfm(*triangulate(views))
+    path = Path(cache) / f"{_identity(views)}.npz"
+    if path.exists():
+        arrays = read_arrays(path)
+        kept = _from_sfm(arrays["xyz"], arrays["rgb"])
+        return dataclasses.replace(kept, note=f"{kept.note}, kept from before")
     xyz, rgb = triangulate(views)
-    if cache:
-        write_arrays(cache, {"xyz": xyz, "rgb": rgb, "identity": np.array(identity)})
+    write_arrays(path, {"xyz": xyz, "rgb": rgb})
     return _from_sfm(xyz, rgb)
 
 

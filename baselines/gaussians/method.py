@@ -34,12 +34,15 @@ class GaussianMethod:
             the fit earlier.
         gaussians: how many the background has; None: as few as the scene needs.
         densification: `mcmc` or `gradient`.
+        sfm_cache: a folder that keeps the points of SfM for other fits to the same views, whose
+            seconds are then without it, as their notes say.
     """
 
     info: ClassVar[MethodInfo]
     iterations: int | None = None
     gaussians: int | None = None
     densification: str = "mcmc"
+    sfm_cache: str | None = None
     _graph: "SceneGraph" = field(init=False)
 
     def __post_init__(self) -> None:

@@ -33,7 +33,7 @@ class Method(GaussianMethod):
         def prepare(photos):
             most = self.gaussians or STARTING
             far = most // FAR_SHARE
-            points = starting_points(views, most - far, rng.numpy)
+            points = starting_points(views, most - far, rng.numpy, cache=self.sfm_cache)
             points = with_far_points(points, far, views, rng.numpy)
             gaussians = gaussians_from_points(points.xyz, points.rgb, sh_degree=1)
             graph = SceneGraph(Background(gaussians.to(photos[0].image.device)))

@@ -1,10 +1,12 @@
 """Fitting a method to a scene, as the isolated process runs it."""
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from geoevs.adapter import Budget, MaskedAdapter, Rng, Views, make_method
+from geoevs.errors import GeoEvsError
 from geoevs.protocol.clock import synchronise
 from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene
@@ -20,6 +22,8 @@ def fit_step(
     folder: str,
 ) -> dict[str, Any]:
     """Fit a method to the views that a set of sources allows, and save it.
+
+    A fit that stops with a GeoEvsError, as at a gradient that is not finite, is saved as it was.
 
     Args:
         scene: the scene store.
@@ -39,7 +43,13 @@ def fit_step(
     views = Views(store, source_cameras(store, sources), adapter.info.needs)
     rng = Rng(seed, store.info.name, method, sources)
     start = time.perf_counter()
-    report = adapter.fit(views, Budget(**budget), rng)
+    try:
+        report = adapter.fit(views, Budget(**budget), rng)
+    except GeoEvsError:
+        # What a fit has stopped at helps to find the cause; the first error is the one to tell.
+        with suppress(Exception):
+            adapter.save(Path(folder))
+        raise
     synchronise()
     seconds = time.perf_counter() - start
     adapter.save(Path(folder))

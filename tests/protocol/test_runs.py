@@ -47,6 +47,16 @@ FAILURES = {
 }
 
 
+@pytest.mark.parametrize("error", ["GeoEvsError", "KeyError"])
+def test_what_a_fit_stopped_at_on_purpose_is_kept(toy, attempt, tmp_path, error):
+    lines = f"from geoevs.errors import GeoEvsError; raise {error}('stopped')"
+    fits, _ = attempt(toy("bad", fit=lines))
+    assert (fits["all-cameras"]["status"], fits["all-cameras"]["stage"]) == ("failed", "fit")
+    assert "stopped" in fits["all-cameras"]["reason"]
+    kept = tmp_path / "model" / "all-cameras" / "model/value"
+    assert kept.exists() == (error == "GeoEvsError")
+
+
 @pytest.mark.parametrize("kind", FAILURES)
 def test_a_failing_method_is_a_status_with_stage_reason_and_log(toy, attempt, tmp_path, kind):
     lines, stage, reason = FAILURES[kind]

@@ -88,7 +88,7 @@ def test_the_generator_decides(views_of_wall):
 
 
 def test_the_cache_spares_sfm(views_of_wall, tmp_path, monkeypatch):
-    cache = tmp_path / "cache" / "points.npz"
+    cache = tmp_path / "cache"
     first = start(views_of_wall(ASIDE), cache=cache)
     calls = []
     nothing = np.zeros((0, 3), np.float32)
@@ -99,7 +99,7 @@ def test_the_cache_spares_sfm(views_of_wall, tmp_path, monkeypatch):
     assert not calls
     assert again.xyz.tobytes() == first.xyz.tobytes()
     assert again.rgb.tobytes() == first.rgb.tobytes()
-    assert again.note == first.note
+    assert again.note == f"{first.note}, kept from before"
     # Other views have other points, and nothing found is kept too.
     for _ in range(2):
         assert "0 points of SfM" in start(views_of_wall(ASIDE[:3]), cache=cache).note
@@ -107,10 +107,11 @@ def test_the_cache_spares_sfm(views_of_wall, tmp_path, monkeypatch):
 
 
 def test_a_damaged_cache_is_named(views_of_wall, tmp_path):
-    cache = tmp_path / "points.npz"
-    cache.write_text(json.dumps("no archive"))
-    with pytest.raises(GeoEvsError, match=r"points\.npz is not whole"):
-        start(views_of_wall(ASIDE), cache=cache)
+    start(views_of_wall(ASIDE), cache=tmp_path)
+    (kept,) = tmp_path.iterdir()
+    kept.write_text(json.dumps("no archive"))
+    with pytest.raises(GeoEvsError, match=rf"{kept.name} is not whole"):
+        start(views_of_wall(ASIDE), cache=tmp_path)
 
 
 @pytest.mark.parametrize(
