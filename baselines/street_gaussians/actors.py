@@ -1,6 +1,5 @@
 """From tracks to actor nodes: boxes, the LiDAR points in them, and where they show in a view."""
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ from baselines.gaussians.nodes import FOURIER, Actor
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError
 from geoevs.projection import project_points
+from geoevs.scenes.boxes import Box
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import PointCloud
 
@@ -30,45 +30,34 @@ GROUND = 0.1
 
 @dataclass(frozen=True)
 class Track:
-    """The boxes of one moving thing, frame by frame.
-
-    Args:
-        name: its track.
-        frames: rising.
-        centres: (F, 3) metres.
-        yaws: (F,) radians.
-        size: (3,) length, width and height, the largest of all frames, metres.
-    """
+    """The boxes of one moving thing, frame by frame, all as large as the largest of them."""
 
     name: str
-    frames: tuple[int, ...]
-    centres: np.ndarray  # [F, 3]
-    yaws: np.ndarray  # [F]
-    size: np.ndarray  # [3]
+    boxes: dict[int, Box]  # frames rise
 
-    def local(self, xyz: np.ndarray, frame: int) -> np.ndarray:
-        """(N, 3) world positions in the box's axes about its middle."""
-        now = self.frames.index(frame)
-        x, y, z = (xyz - self.centres[now]).T
-        cos, sin = math.cos(self.yaws[now]), math.sin(self.yaws[now])
-        return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """In which it has a box."""
+        return tuple(self.boxes)
+
+    @property
+    def size(self) -> np.ndarray:
+        """(3,) length, width and height, metres."""
+        box = next(iter(self.boxes.values()))
+        return np.array([box.length, box.width, box.height])
 
     def holds(self, xyz: np.ndarray, frame: int) -> np.ndarray:
         """(N,) bool: world positions in the box, above the ground."""
-        local, half = self.local(xyz, frame), self.size / 2
-        return (abs(local) <= half).all(axis=1) & (local[:, 2] > GROUND - half[2])
+        box = self.boxes[frame]
+        return box.holds(xyz) & (box.local(xyz)[:, 2] > GROUND - box.height / 2)
 
     def shown(self, camera: Camera, frame: int) -> np.ndarray:
         """(H, W) bool: the box's outline in a view, filled; nothing where it is absent."""
         outline = np.zeros((camera.height, camera.width), np.uint8)
-        if frame in self.frames:
-            now = self.frames.index(frame)
+        if frame in self.boxes:
             # Points on an even grid, so that a box partly behind the camera has an outline too.
             grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
-            x, y, z = (grid * self.size).T
-            cos, sin = math.cos(self.yaws[now]), math.sin(self.yaws[now])
-            turned = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
-            uv, depth = project_points(turned + self.centres[now], camera)
+            uv, depth = project_points(self.boxes[frame].world(grid * self.size), camera)
             ahead = np.nan_to_num(depth, nan=-1.0) > max(NEAR_PLANE, self.size.max() / 100)
             if np.count_nonzero(ahead) >= 3:
                 far = 4 * max(outline.shape)  # cv2 draws with 32 bits
@@ -99,8 +88,9 @@ def _track(name: str, rows: pd.DataFrame) -> Track:
             f"the box of track '{name}' in frame {frame} has no size or no place; correct "
             "it in the scene's tracks, or mark the track as not moving"
         )
-    frames = tuple(rows["frame"].astype(int).tolist())
-    return Track(str(name), frames, places[:, :3], np.radians(places[:, 3]), sizes.max(axis=0))
+    length, width, height = sizes.max(axis=0).tolist()
+    boxes = [box._replace(length=length, width=width, height=height) for box in Box.rows(rows)]
+    return Track(str(name), {int(box.frame): box for box in boxes})
 
 
 def outside_all(xyz: np.ndarray, tracks: Iterable[Track]) -> np.ndarray:
@@ -147,7 +137,7 @@ def _starting_points(
     for frame in track.frames:
         cloud = clouds[frame]
         inside = cloud.select(track.holds(cloud.xyz, frame) & (cloud.camera >= 0))
-        places.append(track.local(inside.xyz, frame))
+        places.append(track.boxes[frame].local(inside.xyz))
         colours.append(inside.rgb)
     xyz, rgb = np.concatenate(places), np.concatenate(colours)
     keep = np.sort(rng.permutation(len(xyz))[:count])
@@ -161,6 +151,8 @@ def _starting_points(
 def _actor(track: Track, xyz: np.ndarray, rgb: np.ndarray, device: torch.device) -> Actor:
     gaussians = gaussians_from_points(xyz, rgb, sh_degree=1)
     later = gaussians.sh0.new_zeros(len(gaussians), FOURIER - 1, 3)
+    centres = np.array([[box.x, box.y, box.z] for box in track.boxes.values()])
+    yaws = np.radians([box.yaw for box in track.boxes.values()])
     gaussians.sh0 = torch.cat([gaussians.sh0, later], dim=1)
 
     def tensor(array: np.ndarray) -> torch.Tensor:
@@ -171,8 +163,8 @@ def _actor(track: Track, xyz: np.ndarray, rgb: np.ndarray, device: torch.device)
         gaussians.to(device),
         track.frames,
         size=tensor(track.size),
-        centres=tensor(track.centres),
-        yaws=tensor(track.yaws),
-        shifts=tensor(np.zeros_like(track.centres)),
-        turns=tensor(np.zeros_like(track.yaws)),
+        centres=tensor(centres),
+        yaws=tensor(yaws),
+        shifts=tensor(np.zeros_like(centres)),
+        turns=tensor(np.zeros_like(yaws)),
     )
