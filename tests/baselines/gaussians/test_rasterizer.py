@@ -1,5 +1,6 @@
 """The rasterizer: pictures by hand, by the twin, and by gsplat's own reference."""
 
+import sys
 import types
 from pathlib import Path
 
