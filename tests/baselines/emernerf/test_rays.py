@@ -1,6 +1,7 @@
 """Rays, sky and motion of scenes whose truth is known."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -138,13 +139,32 @@ def boxes(*rows):
     ids=["no tracks", "parked", "moving", "unseen", "turned", "above"],
 )
 def test_a_dynamic_field_is_for_moving_boxes_with_points(tracks, reason):
-    class TwoFrames:
-        frames = (0, 1)
-
-    views = TwoFrames()
-    views.tracks = tracks.astype({"moving": bool})
     clouds = {0: np.array([[5.0, 0, 1]]), 1: np.zeros((0, 3))}
-    assert find_motion(views, clouds) == (reason != STATIC, reason)
+    assert find_motion(two_frames(tracks), clouds) == (reason != STATIC, reason)
+
+
+def two_frames(tracks):
+    return SimpleNamespace(frames=(0, 1), tracks=tracks.astype({"moving": bool}))
+
+
+def car(frame, moving=True, track="a"):
+    return frame, track, "car", 5 + frame, 0, 1, 4, 2, 2, 0.0, moving
+
+
+@pytest.mark.parametrize(
+    ("tracks", "reason"),
+    [
+        (boxes(car(0), car(1)), ""),
+        (boxes(car(0), car(1, track="b")), STATIC),
+        (boxes(car(0), car(0), car(2)), STATIC),
+        (boxes(car(0, moving=False), car(1, moving=False)), STATIC),
+        (boxes(), "no tracks: a dynamic field in case something moves"),
+    ],
+    ids=["moving", "two cars in one frame each", "another frame", "parked", "no tracks"],
+)
+def test_without_any_lidar_the_tracks_alone_tell_what_moves(tracks, reason):
+    clouds = {0: np.zeros((0, 3)), 1: np.zeros((0, 3))}
+    assert find_motion(two_frames(tracks), clouds) == (reason != STATIC, reason)
 
 
 def test_nothing_moves_in_one_frame():
