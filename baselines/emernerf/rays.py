@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from baselines.emernerf.model import Rays
-from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
+from geoevs.geometry.sky import find_sky
 from geoevs.io import to_uint8
 from geoevs.projection import visible
 from geoevs.scenes.boxes import moving_boxes

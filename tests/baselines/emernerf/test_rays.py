@@ -1,4 +1,4 @@
-"""Rays, sky and motion of scenes whose truth is known."""
+"""Rays and motion of scenes whose truth is known."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -12,11 +12,10 @@ from baselines.emernerf.losses import line_of_sight
 from baselines.emernerf.model import Rendered
 from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
 from baselines.emernerf.sampling import to_distance
-from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
 from geoevs.projection import project_points
 from geoevs.scenes.scene import TRACK_COLUMNS
-from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, tiny_camera, write_tiny_scene
+from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, write_tiny_scene
 
 
 @pytest.fixture(scope="module")
@@ -172,28 +171,6 @@ def test_nothing_moves_in_one_frame():
         frames = (7,)
 
     assert find_motion(OneFrame(), {}) == (False, "one frame: no dynamic field")
-
-
-def test_sky_is_bright_smooth_and_without_points():
-    camera = tiny_camera("front", 0.0, np.zeros(3))
-    rng = np.random.default_rng(0)
-    image = rng.uniform(0, 0.5, (HEIGHT, WIDTH, 3))  # rough
-    image[:20] = 0.8
-    image[:20, :30] = 0.2  # smooth but dark
-    wall = np.array([[12.0, -6.0, 0.5]])  # on the right, above the camera and near
-    ground = np.array([[12.0, -2.0, -0.5]])
-    sky = find_sky(image, ground, camera)
-    assert sky[1:19, 32:].all()
-    assert not sky[21:].any()
-    assert not sky[:, :29].any()
-    image[:20, 60:] = rng.uniform(0.7, 0.9, (20, 12, 3))
-    image[:20, 50:60] = [0.8, 0.8, 0.7]  # parted from the rest by its colour, and on the wall
-    u = project_points(wall, camera)[0][0, 0]
-    walls = np.array([[12.0, y, 0.5] for y in np.linspace(-2.3, -4.2, 12)])
-    assert u > 60
-    sky = find_sky(image, walls, camera)
-    assert sky[1:19, 32:48].all()
-    assert not sky[:, 51:].any()
 
 
 def test_light_that_ends_as_a_normal_distribution_has_no_sight_loss():
