@@ -8,10 +8,7 @@ import pandas as pd
 import pytest
 import torch
 
-from baselines.emernerf.losses import line_of_sight
-from baselines.emernerf.model import Rendered
 from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
-from baselines.emernerf.sampling import to_distance
 from geoevs.adapter import Views
 from geoevs.projection import project_points
 from geoevs.scenes.scene import TRACK_COLUMNS
@@ -171,23 +168,3 @@ def test_nothing_moves_in_one_frame():
         frames = (7,)
 
     assert find_motion(OneFrame(), {}) == (False, "one frame: no dynamic field")
-
-
-def test_light_that_ends_as_a_normal_distribution_has_no_sight_loss():
-    places = torch.linspace(0.05, 0.5, 200)[None]
-    distances = to_distance(places)
-    normal = torch.distributions.Normal(30.0, 2.0 / 3)
-    weights = normal.cdf(distances).diff(dim=1)
-
-    def loss(weights):
-        rendered = Rendered(None, None, None, weights, places, [], None)
-        return line_of_sight(rendered, torch.tensor([30.0]), 2.0).item()
-
-    assert loss(weights) < 1e-5
-    before = weights.clone()
-    middles = (distances[0, 1:] + distances[0, :-1]) / 2
-    before[0, int((middles - 20).abs().argmin())] += 0.5  # 10 m before the point
-    assert loss(before) == pytest.approx(0.25, rel=1e-4)
-    behind = weights.clone()
-    behind[0, int((middles - 40).abs().argmin())] += 0.5  # nobody knows what is behind it
-    assert loss(behind) < 1e-5
