@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from geoevs.adapter import make_method
 from geoevs.config import check_config, method_entries, training_settings
 from geoevs.errors import GeoEvsError
 
@@ -177,3 +178,8 @@ def test_the_papers_scale_is_the_papers(check):
         **{"steps": 25, "guidance": 2.0},
         **{"sigma_max": 700.0, "average": 1},
     }
+    (emernerf,) = (e for e in method_entries(config) if e.name == "emernerf")
+    made = make_method(emernerf.method, emernerf.options)
+    assert (made.iterations, made.rays, made.learning_rate) == (25000, 8192, 0.01)
+    assert (made.levels, made.log2_entries, made.width) == (10, 20, 64)
+    assert made.samples == (128, 64, 64)

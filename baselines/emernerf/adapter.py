@@ -180,7 +180,7 @@ class Method:
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
         from baselines.emernerf.rays import Place
-        from geoevs.network_files import load_weights, read_network
+        from geoevs.network_files import best_device, load_weights, read_network
 
         place = read_json(folder / PLACE_FILE)
         settings, weights = read_network(folder / MODEL_FILE)
@@ -193,7 +193,7 @@ class Method:
         method._images = {(name, frame): i for i, (name, frame) in enumerate(place["images"])}
         method._model = method._new_model(settings["moving"], Rng(0))
         load_weights(method._model, weights, folder / MODEL_FILE, "fit the method again")
-        method._model.to(_device())
+        method._model.to(best_device())
         return method
 
     def _new_model(self, moving: bool, rng: Rng) -> "EmerNeRF":
@@ -201,6 +201,7 @@ class Method:
         import torch
 
         from baselines.emernerf.model import EmerNeRF, Sizes
+        from geoevs.network_files import best_device
 
         sizes = Sizes(self.levels, self.log2_entries, self.width, self.samples)
         box = torch.tensor(np.array([-self._place.half, self._place.half]), dtype=torch.float32)
@@ -208,10 +209,4 @@ class Method:
         with torch.random.fork_rng(devices=()):
             torch.manual_seed(int(rng.numpy.integers(2**62)))
             model = EmerNeRF(sizes, len(self._images), box, step, rng.torch)
-        return model.to(_device())
-
-
-def _device() -> str:
-    import torch
-
-    return "cuda" if torch.cuda.is_available() else "cpu"
+        return model.to(best_device())

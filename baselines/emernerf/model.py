@@ -25,7 +25,10 @@ from baselines.emernerf.sampling import (
 )
 
 DIRECTION_FEATURES = 27
-COARSEST = 16  # cells along an axis of every grid's first level
+COARSEST = 16  # cells along an axis of every grid's first level; published so of the static grid
+# Cells of the last one, of the static and of the proposals' grids. Published: 8192, and 512 and
+# 2048, for images five times as wide.
+FINEST, PROPOSALS_FINEST = 4096, (256, 1024)
 APPEARANCE = 16  # numbers an image's embedding has
 AROUND = (-1.0, -0.3, 0.3, 1.0)  # metres from a LiDAR point, where its ray's extra samples end
 # Samples that weigh less than this in their ray get no colour: nobody would see it.
@@ -37,9 +40,12 @@ class Sizes:
     """How large the networks are; docs/emernerf.md has the published ones beside them.
 
     Args:
-        levels: of the static hash grid; the other grids have half as many or one less.
-        log2_entries: of a level of the static grid; the others' have half or a quarter.
-        width: of features and hidden layers; the static and the colour network's have twice it.
+        levels: of the static hash grid. Proposals and the dynamic grid have half as many, the flow
+            grid one less than that.
+        log2_entries: of a level of the static and the dynamic grid, as a power of two. The flow
+            grid's have half as many entries, proposals' a quarter.
+        width: of features and hidden layers. The static and the colour network's hidden layers have
+            twice it, proposals' half.
         samples: along a ray, for the two proposal rounds and for the radiance field.
     """
 
@@ -99,7 +105,7 @@ class EmerNeRF(nn.Module):
         self, sizes: Sizes, images: int, box: Tensor, step: float | None, generator: torch.Generator
     ) -> None:
         super().__init__()
-        self.sizes, self.step = sizes, step
+        self.sizes = sizes
         self.register_buffer("box", box, persistent=False)
         width, levels = sizes.width, sizes.levels
         entries = sizes.log2_entries
@@ -114,9 +120,10 @@ class EmerNeRF(nn.Module):
             # Cells double, so that every level has a vertex at every frame's time.
             return field(4, levels, COARSEST << levels - 1, entries, hidden, out)
 
-        self.static = field(3, levels, 4096, entries, (2 * width,), width)
+        self.static = field(3, levels, FINEST, entries, (2 * width,), width)
         self.proposals = nn.ModuleList(
-            field(3, levels // 2, finest, entries - 2, (width // 2,), 1) for finest in (256, 1024)
+            field(3, levels // 2, finest, entries - 2, (width // 2,), 1)
+            for finest in PROPOSALS_FINEST
         )
         self.dynamic = self.shadow = None
         if step is not None:

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from baselines.emernerf.model import Rays
-from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
+from geoevs.geometry.sky import find_sky
 from geoevs.io import to_uint8
 from geoevs.projection import visible
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import moving_boxes
 from geoevs.scenes.camera import Camera
 
 QUANTILE = 0.02  # of LiDAR coordinates that the box leaves out at either end, as published
@@ -176,14 +176,17 @@ def find_motion(views: Views, clouds: dict[int, np.ndarray]) -> tuple[bool, str]
     """Whether a scene needs a dynamic field, and what to say of it.
 
     Tracks tell whether anything moves, and LiDAR whether it is near enough to matter: boxes that
-    hold no point show in no image, or are a few pixels large.
+    hold no point show in no image, or are a few pixels large. Without any LiDAR, what moves is
+    what has a moving box in two frames or more.
     """
     if len(views.frames) < 2:
         return False, "one frame: no dynamic field"
-    tracks = views.tracks
-    if not len(tracks):
+    if not len(views.tracks):
         return True, "no tracks: a dynamic field in case something moves"
-    boxes = tracks[tracks["moving"] & tracks["frame"].isin(views.frames)]
-    if any(box.holds(clouds[box.frame]).any() for box in Box.rows(boxes)):
-        return True, ""
-    return False, "static scene: no dynamic field"
+    boxes = moving_boxes(views.tracks, views.frames)
+    if any(len(points) for points in clouds.values()):
+        moves = any(box.holds(clouds[box.frame]).any() for box in boxes)
+    else:
+        seen = {(box.track, box.frame) for box in boxes}
+        moves = len({track for track, _ in seen}) < len(seen)
+    return (True, "") if moves else (False, "static scene: no dynamic field")

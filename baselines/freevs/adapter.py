@@ -59,6 +59,8 @@ class Method:
             notes.append("there are none: pictures are the prior's alone")
         if not len(views.tracks):
             notes.append("no tracks: what moves is smeared")
+        if len(views.frames) == 1:
+            notes.append("one frame: no neighbours' points, and its clip repeats it")
         return FitReport(self._sweeps.count, parameters, "; ".join(notes))
 
     def render(self, camera: Camera, frame: int) -> Rendering:

@@ -9,7 +9,7 @@ import numpy as np
 
 from geoevs.adapter import Views
 from geoevs.projection import Raster, rasterize
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import Box, moving_boxes
 from geoevs.scenes.camera import Camera
 
 NEIGHBOURS = 2
@@ -41,10 +41,8 @@ class Sweeps:
     @classmethod
     def read(cls, views: Views) -> Self:
         """The points of all frames that may condition a method (see `Views.lidar`)."""
-        tracks = views.tracks
-        moving = tracks[tracks["moving"].astype(bool) & tracks["frame"].isin(views.frames)]
         boxes: dict[int, list[Box]] = {frame: [] for frame in views.frames}
-        for box in Box.rows(moving):
+        for box in moving_boxes(views.tracks, views.frames):
             boxes[box.frame].append(box)
         background, objects = {}, {}
         for frame in views.frames:

@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.emernerf.sky import find_sky
 from baselines.gaussians.nodes import SKY_SHAPE, Drawn, SceneGraph, Sky
 from baselines.gaussians.rasterizer import rasterize
 from baselines.gaussians.training import Photo
 from baselines.street_gaussians.actors import Track
+from geoevs.geometry.sky import find_sky
 from geoevs.projection import zbuffer
 from geoevs.scenes.scene import PointCloud
 

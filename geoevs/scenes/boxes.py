@@ -1,5 +1,6 @@
 """Boxes of tracks: what lies in one, and where it is when the box has moved."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -60,3 +61,10 @@ class Box(NamedTuple):
         """(3, 3) world directions of the box's axes, one a column."""
         cos, sin = np.cos(np.radians(self.yaw)), np.sin(np.radians(self.yaw))
         return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+
+
+def moving_boxes(tracks: pd.DataFrame, frames: Sequence[int]) -> list[Box]:
+    """The boxes of what moves, in these frames alone, in the tracks' order."""
+    # A column of no rows, or one read with gaps, may hold objects instead of truth values.
+    moves = tracks["moving"].astype(bool) & tracks["frame"].isin(frames)
+    return Box.rows(tracks[moves])

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import Box, moving_boxes
 from geoevs.scenes.scene import TRACK_COLUMNS
 
 CAR = Box(3, "car-1", "car", 10.0, 5.0, 1.0, 4.0, 2.0, 1.5, 90.0, True)
@@ -40,3 +41,11 @@ def test_rows_keep_their_order():
     rows = [CAR, CAR._replace(frame=4, moving=False)]
     table = pd.DataFrame(rows, columns=list(TRACK_COLUMNS))
     assert Box.rows(table) == rows
+
+
+@pytest.mark.parametrize("kind", [bool, int, object])
+def test_what_moves_in_given_frames_is_found_whatever_its_column_holds(kind):
+    parked, other = CAR._replace(moving=False), CAR._replace(frame=5)
+    table = pd.DataFrame([parked, CAR, other], columns=list(TRACK_COLUMNS)).astype({"moving": kind})
+    assert moving_boxes(table, (3, 4)) == [CAR]
+    assert moving_boxes(table[:0], (3, 4)) == []

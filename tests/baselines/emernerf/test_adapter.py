@@ -137,8 +137,16 @@ def test_a_loss_that_is_not_finite_names_its_step(still):
 def test_without_lidar_there_are_no_depth_losses(tmp_path, monkeypatch):
     write_scene(tmp_path / "dark", INFO, tracks(), moving_frames(monkeypatch, lidar=False))
     method, report = fit(Scene(tmp_path / "dark"))
-    assert report.note == "no LiDAR: no depth losses; static scene: no dynamic field"
+    assert report.note == "no LiDAR: no depth losses"  # its car drives by
+    assert method.motion(room.tiny_camera("front", 0.0, room.MOUNT), 0)[0].any()
     assert np.isfinite(method.render(room.tiny_camera("front", 0.0, room.MOUNT), 0).rgb).all()
+
+
+def test_without_lidar_a_parked_car_gets_no_dynamic_field(tmp_path, monkeypatch):
+    frames = moving_frames(monkeypatch, lidar=False)
+    write_scene(tmp_path / "dark", INFO, tracks(moving=False), frames)
+    _, report = fit(Scene(tmp_path / "dark"))
+    assert report.note == "no LiDAR: no depth losses; static scene: no dynamic field"
 
 
 def test_without_tracks_nobody_says_that_nothing_moves(tmp_path, monkeypatch):

@@ -1,21 +1,18 @@
-"""Rays, sky and motion of scenes whose truth is known."""
+"""Rays and motion of scenes whose truth is known."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
 
-from baselines.emernerf.losses import line_of_sight
-from baselines.emernerf.model import Rendered
 from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
-from baselines.emernerf.sampling import to_distance
-from baselines.emernerf.sky import find_sky
 from geoevs.adapter import Views
 from geoevs.projection import project_points
 from geoevs.scenes.scene import TRACK_COLUMNS
-from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, tiny_camera, write_tiny_scene
+from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, write_tiny_scene
 
 
 @pytest.fixture(scope="module")
@@ -138,13 +135,32 @@ def boxes(*rows):
     ids=["no tracks", "parked", "moving", "unseen", "turned", "above"],
 )
 def test_a_dynamic_field_is_for_moving_boxes_with_points(tracks, reason):
-    class TwoFrames:
-        frames = (0, 1)
-
-    views = TwoFrames()
-    views.tracks = tracks.astype({"moving": bool})
     clouds = {0: np.array([[5.0, 0, 1]]), 1: np.zeros((0, 3))}
-    assert find_motion(views, clouds) == (reason != STATIC, reason)
+    assert find_motion(two_frames(tracks), clouds) == (reason != STATIC, reason)
+
+
+def two_frames(tracks):
+    return SimpleNamespace(frames=(0, 1), tracks=tracks.astype({"moving": bool}))
+
+
+def car(frame, moving=True, track="a"):
+    return frame, track, "car", 5 + frame, 0, 1, 4, 2, 2, 0.0, moving
+
+
+@pytest.mark.parametrize(
+    ("tracks", "reason"),
+    [
+        (boxes(car(0), car(1)), ""),
+        (boxes(car(0), car(1, track="b")), STATIC),
+        (boxes(car(0), car(0), car(2)), STATIC),
+        (boxes(car(0, moving=False), car(1, moving=False)), STATIC),
+        (boxes(), "no tracks: a dynamic field in case something moves"),
+    ],
+    ids=["moving", "two cars in one frame each", "another frame", "parked", "no tracks"],
+)
+def test_without_any_lidar_the_tracks_alone_tell_what_moves(tracks, reason):
+    clouds = {0: np.zeros((0, 3)), 1: np.zeros((0, 3))}
+    assert find_motion(two_frames(tracks), clouds) == (reason != STATIC, reason)
 
 
 def test_nothing_moves_in_one_frame():
@@ -152,45 +168,3 @@ def test_nothing_moves_in_one_frame():
         frames = (7,)
 
     assert find_motion(OneFrame(), {}) == (False, "one frame: no dynamic field")
-
-
-def test_sky_is_bright_smooth_and_without_points():
-    camera = tiny_camera("front", 0.0, np.zeros(3))
-    rng = np.random.default_rng(0)
-    image = rng.uniform(0, 0.5, (HEIGHT, WIDTH, 3))  # rough
-    image[:20] = 0.8
-    image[:20, :30] = 0.2  # smooth but dark
-    wall = np.array([[12.0, -6.0, 0.5]])  # on the right, above the camera and near
-    ground = np.array([[12.0, -2.0, -0.5]])
-    sky = find_sky(image, ground, camera)
-    assert sky[1:19, 32:].all()
-    assert not sky[21:].any()
-    assert not sky[:, :29].any()
-    image[:20, 60:] = rng.uniform(0.7, 0.9, (20, 12, 3))
-    image[:20, 50:60] = [0.8, 0.8, 0.7]  # parted from the rest by its colour, and on the wall
-    u = project_points(wall, camera)[0][0, 0]
-    walls = np.array([[12.0, y, 0.5] for y in np.linspace(-2.3, -4.2, 12)])
-    assert u > 60
-    sky = find_sky(image, walls, camera)
-    assert sky[1:19, 32:48].all()
-    assert not sky[:, 51:].any()
-
-
-def test_light_that_ends_as_a_normal_distribution_has_no_sight_loss():
-    places = torch.linspace(0.05, 0.5, 200)[None]
-    distances = to_distance(places)
-    normal = torch.distributions.Normal(30.0, 2.0 / 3)
-    weights = normal.cdf(distances).diff(dim=1)
-
-    def loss(weights):
-        rendered = Rendered(None, None, None, weights, places, [], None)
-        return line_of_sight(rendered, torch.tensor([30.0]), 2.0).item()
-
-    assert loss(weights) < 1e-5
-    before = weights.clone()
-    middles = (distances[0, 1:] + distances[0, :-1]) / 2
-    before[0, int((middles - 20).abs().argmin())] += 0.5  # 10 m before the point
-    assert loss(before) == pytest.approx(0.25, rel=1e-4)
-    behind = weights.clone()
-    behind[0, int((middles - 40).abs().argmin())] += 0.5  # nobody knows what is behind it
-    assert loss(behind) < 1e-5

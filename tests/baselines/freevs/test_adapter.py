@@ -89,6 +89,8 @@ def test_a_scene_that_lacks_something_is_said_and_rendered(fitted):
     still = fitted(views=without(views, tracks=views.tracks[:0]))
     assert still.report.note.endswith("no tracks: what moves is smeared")
     alone = fitted(views=without(views, frames=(1,)))
+    assert alone.report.note.endswith("one frame: no neighbours' points, and its clip repeats it")
+    assert "one frame" not in still.report.note
     for method in (dark, still, alone):
         rendering = method.render(VIRTUAL, 1)
         assert np.isfinite(rendering.rgb).all()

@@ -19,7 +19,7 @@ def find_sky(
 ) -> np.ndarray:
     """(H, W) bool: smooth patches without LiDAR points that reach the image's top and are bright.
 
-    A stand-in for the segmentation network of the published method. It rather misses sky than
+    A stand-in for the segmentation networks of published methods. It rather misses sky than
     calls a wall sky.
     """
     shape = camera.height, camera.width
