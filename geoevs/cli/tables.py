@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoevs.cli.arguments import Costs, Scores, TableSettings, parse_json, read_rows
+from geoevs.cli.arguments import (
+    Costs,
+    Scores,
+    SetScores,
+    TableSettings,
+    parse_json,
+    read_rows,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +47,7 @@ def table(
     scores: Scores,
     settings: TableSettings,
     out: TableOut,
-    sets: Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")] = None,
+    sets: SetScores = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
     from functools import partial

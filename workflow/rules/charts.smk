@@ -10,6 +10,7 @@ rule chart:
     input:
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
+        sets=in_run(layout.SET_SCORES),
     output:
         CHART_FILES,
     log:
@@ -20,7 +21,8 @@ rule chart:
         code=code_hash("geoevs.results.chart_pages"),
     shell:
         "geoevs --log {log:q} chart {wildcards.table} --scores {input.scores:q}"
-        " --costs {input.costs:q} --settings {params.settings:q} --out {params.stem:q}"
+        " --costs {input.costs:q} --sets {input.sets:q} --settings {params.settings:q}"
+        " --out {params.stem:q}"
 
 
 rule complexity_chart:
