@@ -17,6 +17,7 @@ SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Scores = Annotated[Path, typer.Option(help="The run's scores.parquet.")]
 Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
+SetScores = Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")]
 TableSettings = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
 
 EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}

@@ -11,6 +11,7 @@ from geoevs.cli.arguments import (
     Out,
     Run,
     Scores,
+    SetScores,
     TableSettings,
     parse_json,
     read_rows,
@@ -77,6 +78,7 @@ def chart(
     costs: Costs,
     settings: TableSettings,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
+    sets: SetScores = None,
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.io import write_text
@@ -84,7 +86,8 @@ def chart(
     from geoevs.results.charts import speed_accuracy
 
     parsed = parse_json("--settings", settings)
-    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed)
+    distances = None if sets is None else read_rows(sets)
+    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed, distances)
     page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
     write_page(out, page)

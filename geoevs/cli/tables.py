@@ -1,4 +1,4 @@
-"""From score rows to tables, for people, spreadsheets and papers."""
+"""From score rows to tables, for people, spreadsheets and papers; and the chart of sizes."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoevs.cli.arguments import Costs, Scores, TableSettings, parse_json, read_rows
+from geoevs.cli.arguments import (
+    Costs,
+    Scores,
+    SetScores,
+    TableSettings,
+    parse_json,
+    read_rows,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,8 +23,8 @@ TableOut = Annotated[Path, typer.Option(help="Path without suffix; .csv, .md ...
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    commands = table, ablation_table, cost_table, geometry_table, complexity_table, rank_agreement
-    for command in commands:
+    commands = table, ablation_table, cost_table, geometry_table, complexity_table
+    for command in (*commands, complexity_chart, rank_agreement):
         app.command()(command)
 
 
@@ -40,7 +47,7 @@ def table(
     scores: Scores,
     settings: TableSettings,
     out: TableOut,
-    sets: Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")] = None,
+    sets: SetScores = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
     from functools import partial
@@ -90,6 +97,25 @@ def complexity_table(scores: Scores, costs: Costs, out: TableOut) -> None:
     from geoevs.results.complexity import complexity_markdown, make_complexity_table
 
     _write(out, make_complexity_table(read_rows(scores), read_rows(costs)), complexity_markdown)
+
+
+def complexity_chart(
+    scores: Scores,
+    costs: Costs,
+    settings: TableSettings,
+    out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
+) -> None:
+    """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
+    from geoevs.io import write_text
+    from geoevs.results.chart_pages import write_page
+    from geoevs.results.complexity import size_curves
+    from geoevs.results.complexity_chart import size_chart
+
+    parsed = parse_json("--settings", settings)
+    table = size_curves(read_rows(scores), read_rows(costs), parsed)
+    page = size_chart(table)
+    write_text(out.with_suffix(".csv"), table.to_csv(index=False))
+    write_page(out, page)
 
 
 def rank_agreement(scores: Scores, settings: TableSettings, out: TableOut) -> None:

@@ -11,13 +11,21 @@ import pandas as pd
 
 from geoevs.io import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
-from geoevs.results.charts import COSTS, SPEED
+from geoevs.protocol.set_metrics import SET_METRICS
+from geoevs.results.charts import COSTS, SPEED, higher_is_better
 from geoevs.results.tables import bin_names, table_spec
 
 WIDTH, HEIGHT = 300, 230
 LABEL_SIZE = 11
 LABEL_ROOM = 0.4
 """The share of a panel's width, at its cheap end, that is kept free for labels."""
+
+LINEAR_TO = {"fid": 1.0, "kid": 0.01, "texture_energy": 0.1}
+"""Distances of sets span decades, so that they have logarithmic axes; unbiased ones may be
+negative, so that those are linear (Vega's symlog) up to this."""
+
+TICKS = (0, 1, 3, 10, 30, 100, 300, 1000, 3000)
+"""Where a symlog axis has them, in multiples of LINEAR_TO."""
 
 KINDS = {"method": "circle", "control": "triangle-up"}
 COLOR = (
@@ -77,11 +85,13 @@ def _costs(points: pd.DataFrame, metric: str, place: str) -> list[alt.LayerChart
 def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.LayerChart:
     """One cost against one metric: points with both intervals, and the frontier with its names."""
     data = _plotted(points, cost)
-    across, up = _domains(data)
-    data = data.assign(label=_label_heights(data, across, up))
+    across, up = _domains(data, metric)
+    drawn = data.assign(y=_stretch(data["y"], metric))
+    labels = _label_heights(drawn, across, _stretch(np.array(up), metric))
+    data = data.assign(label=_shrink(labels, metric))
     x = alt.X("x:Q", title=COSTS[cost]).scale(type="log", domain=across, nice=False)
     x = x.axis(tickCount=5, format="~g", labelOverlap=True)
-    y = alt.Y("y:Q", title=_axis(metric)).scale(domain=up, nice=False, zero=False)
+    y = _upward(metric, up)
     base = alt.Chart(data).encode(x=x, y=y)
     tips = [
         alt.Tooltip("name:N", title="entrant"),
@@ -109,11 +119,32 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
     return (layers + dots + names).properties(width=WIDTH, height=HEIGHT, title=title)
 
 
-def _axis(metric: str) -> str:
-    """A metric with its unit and its better direction."""
-    spec = METRICS[metric]
-    unit = f", {spec.unit}" if spec.unit else ""
-    return f"{metric}{unit} {'↑' if spec.higher_is_better else '↓'}"
+def _upward(metric: str, up: list[float]) -> alt.Y:
+    """The axis of a metric from its worse end to its better one, which is up, with its unit."""
+    unit = METRICS[metric].unit if metric in METRICS else ""
+    title = f"{metric}{f', {unit}' if unit else ''} "
+    title += "↑" if higher_is_better(metric) else "↓ (reversed: up is better)"
+    y = alt.Y("y:Q", title=title)
+    if metric not in SET_METRICS:
+        return y.scale(domain=up, nice=False, zero=False)
+    ticks = [step * LINEAR_TO[metric] for step in TICKS]
+    ticks = [tick for tick in ticks if min(up) <= tick <= max(up)]
+    y = y.scale(type="symlog", constant=LINEAR_TO[metric], domain=up, nice=False, zero=False)
+    return y.axis(values=ticks, format="~r")
+
+
+def _stretch(values: Any, metric: str) -> Any:
+    """Values as far apart as their axis draws them."""
+    if metric not in SET_METRICS:
+        return values
+    return np.sign(values) * np.log1p(np.abs(values) / LINEAR_TO[metric])
+
+
+def _shrink(heights: Any, metric: str) -> Any:
+    """The inverse of `_stretch`."""
+    if metric not in SET_METRICS:
+        return heights
+    return np.sign(heights) * np.expm1(np.abs(heights)) * LINEAR_TO[metric]
 
 
 def _plotted(points: pd.DataFrame, cost: str) -> pd.DataFrame:
@@ -137,16 +168,20 @@ def _plotted(points: pd.DataFrame, cost: str) -> pd.DataFrame:
     return data
 
 
-def _domains(data: pd.DataFrame) -> tuple[list[float], list[float]]:
-    """The ranges of both axes: all intervals, and room for labels at the cheap end and above."""
+def _domains(data: pd.DataFrame, metric: str) -> tuple[list[float], list[float]]:
+    """The ranges of both axes: all intervals, and room for labels at the cheap end and above.
+
+    That of the metric goes from its worse end to its better one.
+    """
     if data.empty:
         return [0.1, 1.0], [0.0, 1.0]
     low, high = math.log10(data["x_low"].min()), math.log10(data["x_high"].max())
     width = max(high - low, 0.5) / (1 - LABEL_ROOM)
     across = [10 ** (high - width * 0.95), 10 ** (high + width * 0.05)]
-    bottom, top = data["low"].min(), data["high"].max()
-    span = max(top - bottom, 1e-6 * abs(top), 1e-9)
-    return across, [bottom - 0.05 * span, top + 0.15 * span]
+    ends = [data["low"].min(), data["high"].max()]
+    bottom, top = _stretch(np.array(ends if higher_is_better(metric) else ends[::-1]), metric)
+    span = max(abs(top - bottom), 1e-6 * abs(top), 1e-9) * (1 if higher_is_better(metric) else -1)
+    return across, _shrink(np.array([bottom - 0.05 * span, top + 0.15 * span]), metric).tolist()
 
 
 def _label_heights(data: pd.DataFrame, across: list[float], up: list[float]) -> pd.Series:
@@ -156,7 +191,8 @@ def _label_heights(data: pd.DataFrame, across: list[float], up: list[float]) -> 
     """
     low, high = (math.log10(end) for end in across)
     heights, placed = pd.Series(np.nan, data.index), []
-    for index, row in data[data["frontier"]].sort_values("y").iterrows():
+    worst_first = data[data["frontier"]].sort_values("y", ascending=up[0] < up[1])
+    for index, row in worst_first.iterrows():
         right = (math.log10(row["x"]) - low) / (high - low) * WIDTH
         left = right - 0.56 * LABEL_SIZE * len(row["name"])
         bottom = (row["y"] - up[0]) / (up[1] - up[0]) * HEIGHT + 3

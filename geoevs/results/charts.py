@@ -8,6 +8,7 @@ import pandas as pd
 
 from geoevs.protocol.entries import FAILED, ORACLES
 from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE
 from geoevs.results.summary import bootstrap_mean, summarise
 from geoevs.results.tables import (
@@ -33,12 +34,19 @@ SPEED = "render_seconds"
 ACCURACIES = ("sparse_psnr", "psnr", "psnr_removed", "lpips", "gms")
 """What charts of a table show of its metrics, where it has them."""
 
+WEIGHTED, WEIGHT_FREE = ("fid", "kid"), ("texture_energy",)
+"""Distances of sets of images; a table that has the first measured is charted with those alone."""
+
 SMALLEST = {"fit_seconds": 1e-3, "render_seconds": 1e-5, "peak_memory_mb": 1.0, "size_mb": 1e-4}
 """Where a logarithmic axis puts what costs nothing, or less than this."""
 
 
 def speed_accuracy(
-    name: str, scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
+    name: str,
+    scores: pd.DataFrame,
+    costs: pd.DataFrame,
+    settings: dict[str, Any],
+    sets: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
     """What a view of every entrant costs, and how good it is.
 
@@ -47,19 +55,22 @@ def speed_accuracy(
         scores: score rows.
         costs: cost rows.
         settings: the config's `tables` section.
+        sets: rows of distances between sets of images; none are charted without.
 
     Returns:
-        A row for every data set, bin, entrant and metric of ACCURACIES with a finite value: `name`,
-        `control`, `mean` with its interval `low` and `high` over frames, for every cost of COSTS
-        its mean over fits with `_low` and `_high`, and `<cost>_frontier`: whether no entrant of
-        the same data set, bin and metric is both cheaper and better. Oracles, which render
-        nothing, are left out.
+        A row for every data set, bin, entrant and metric of ACCURACIES, or distance of sets, with a
+        finite value: `name`, `control`, `mean` with its interval `low` and `high` over frames (NaN
+        where it has none), for every cost of COSTS its mean over fits with `_low` and `_high`, and
+        `<cost>_frontier`: whether no entrant of the same data set, bin and metric is both cheaper
+        and better. Oracles, which render nothing, are left out.
     """
     spec = table_spec(name)
     rows = table_rows(spec, scores, settings)
     rows = rows[rows["metric"].isin(_accuracies(spec)) & ~rows["method"].isin(ORACLES)]
     by = [*ENTRANT, "bin", "metric"]
     summary = summarise(rows, by, settings["resamples"], settings["confidence"])
+    if sets is not None:
+        summary = pd.concat([summary, _distances(spec, sets)], ignore_index=True)
     table = summary.merge(_costs(spec, costs, settings), on=ENTRANT)
     table = table[np.isfinite(table["mean"].astype(np.float64))]  # exact copies are off every axis
     table["name"] = [display_name(*pair) for pair in zip(table.method, table.variant, strict=True)]
@@ -74,6 +85,28 @@ def speed_accuracy(
 
 def _accuracies(spec: TableSpec) -> list[str]:
     return [metric for metric in ACCURACIES if metric in spec.metrics]
+
+
+def _distances(spec: TableSpec, sets: pd.DataFrame) -> pd.DataFrame:
+    """Distances of sets by entrant, in the columns of `summarise`; seeds are averaged."""
+    rows = sets[sets["split"].isin(spec.splits) & sets["metric"].isin(spec.set_metrics)]
+    rows = rows[rows["value"].notna() & ~rows["method"].isin(ORACLES)]
+    weighted = rows["metric"].isin(WEIGHTED)
+    measured = rows["dataset"].isin(rows.loc[weighted, "dataset"])
+    rows = rows[weighted | (rows["metric"].isin(WEIGHT_FREE) & ~measured)]
+    means = rows.groupby([*ENTRANT, "metric"], sort=False).agg(
+        mean=("value", "mean"),
+        low=("low", "mean"),
+        high=("high", "mean"),
+        n=("views", "sum"),
+        failed=("failed", "sum"),
+    )
+    return means.reset_index().assign(bin="")
+
+
+def higher_is_better(metric: str) -> bool:
+    """Whether more of a metric, or of a distance of sets, is better."""
+    return metric not in SET_METRICS and METRICS[metric].higher_is_better
 
 
 def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
@@ -97,7 +130,7 @@ def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd
 
 def _frontier(rows: pd.DataFrame, cost: str, metric: str) -> pd.Series:
     """Which rows no other beats in both cost and mean."""
-    sign = 1 if METRICS[metric].higher_is_better else -1
+    sign = 1 if higher_is_better(metric) else -1
     ordered = rows.assign(gain=sign * rows["mean"]).sort_values(
         [cost, "gain"], ascending=[True, False], kind="stable"
     )

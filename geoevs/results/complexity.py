@@ -10,10 +10,14 @@ from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.formats import markdown_grid
+from geoevs.results.summary import summarise
 from geoevs.results.tables import display_name
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"
 """What a size is judged by, in dB; a method chooses by its sources alone."""
+
+CHARTED = (METRIC, "psnr")
+"""What the chart shows over sizes; the second where dense truth exists."""
 
 CHOSEN, FIXED = "default", re.compile(r"\d+k")
 """The variant that chooses its size, and the names of those whose size is fixed, such as `8k`."""
@@ -30,6 +34,9 @@ _KEY = ["dataset", "method", "scene"]
 
 def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     """A row for every scene of each method that was run with fixed sizes, and one of their means.
+
+    A method's scenes are sorted by how much they hold: by the size that it chose there, the
+    smallest first. Scenes without one come last.
 
     Args:
         scores: score rows.
@@ -49,14 +56,14 @@ def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataF
     table: list[dict[str, Any]] = []
     for dataset in scores["dataset"].unique():
         here = fits[fits["dataset"] == dataset]
-        fixed = here["variant"].map(lambda name: bool(FIXED.fullmatch(name)))
-        methods = here.loc[fixed, "method"].unique()
+        methods = here.loc[_is_fixed(here), "method"].unique()
         for method in methods:
             mine = here[here["method"] == method]
             rows = [
                 {"dataset": dataset, "method": method, "scene": scene} | _row(mine, scene)
                 for scene in mine["scene"].unique()
             ]
+            rows.sort(key=lambda row: (row.get("chosen", math.inf), row["scene"]))
             table += [*rows, _mean(rows)]
         if not len(methods):
             table.append({"dataset": dataset, "note": "no fixed size was run"})
@@ -74,15 +81,23 @@ def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
     rows = rows[(rows["stressor"] == "") & rows["value"].notna()]
     frames = rows.groupby([*by, "frame"], sort=False)["value"].mean()
     psnr = frames.groupby(by, sort=False).mean().rename("psnr")
+    return _spent(costs).join(psnr, how="inner").reset_index()
+
+
+def _spent(costs: pd.DataFrame) -> pd.DataFrame:
+    """Mean `primitives` and `fit_seconds` by scene and entrant, of fits from all cameras."""
     fits = costs[(costs["sources"] == ALL_CAMERAS) & (costs["status"] != FAILED)]
-    spent = fits.groupby(by, sort=False)[["primitives", "fit_seconds"]].mean()
-    return spent.join(psnr, how="inner").reset_index()
+    return fits.groupby([*_KEY, "variant"], sort=False)[["primitives", "fit_seconds"]].mean()
+
+
+def _is_fixed(rows: pd.DataFrame) -> pd.Series:
+    return rows["variant"].map(lambda name: bool(FIXED.fullmatch(name))).astype(bool)
 
 
 def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
     here = fits[fits["scene"] == scene]
     chosen = here[here["variant"] == CHOSEN]
-    fixed = here[here["variant"].map(lambda name: bool(FIXED.fullmatch(name)))]
+    fixed = here[_is_fixed(here)]
     row: dict[str, Any] = {"note": ""}
     if len(chosen):
         (mine,) = chosen.to_dict("records")
@@ -132,3 +147,39 @@ def complexity_markdown(table: pd.DataFrame) -> str:
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
     parts.append(LEGEND)
     return "\n".join(parts)
+
+
+def size_curves(
+    scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
+) -> pd.DataFrame:
+    """Accuracy over size, for every scene of each method that was run with fixed sizes.
+
+    Args:
+        scores: score rows.
+        costs: cost rows.
+        settings: the config's `tables` section.
+
+    Returns:
+        A row for every fit and metric of CHARTED: `dataset`, `method`, `scene`, `variant` (CHOSEN,
+        or a fixed size), `metric`, `mean` with its interval `low` and `high` over frames, `n`,
+        `primitives`, `fit_seconds`, and `chosen`, the primitives that the method chose for the
+        scene. Scenes as in the table, sizes rising. Empty where no fixed size was run.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    check_fingerprints(scores)
+    rows = scores[(scores["split"] == SPLIT) & scores["metric"].isin(CHARTED)]
+    rows = rows[rows["stressor"] == ""]
+    by = [*_KEY, "variant", "metric"]
+    means = summarise(rows, by, settings["resamples"], settings["confidence"])
+    means = means.drop(columns="failed").dropna(subset="mean")
+    fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"]).assign(chosen=math.nan)
+    fits = fits[_is_fixed(fits) | (fits["variant"] == CHOSEN)]
+    made = [fits[:0]]
+    for _, mine in fits.groupby(["dataset", "method"], sort=False):
+        if _is_fixed(mine).any():
+            sizes = mine[mine["variant"] == CHOSEN].drop_duplicates("scene").set_index("scene")
+            mine = mine.assign(chosen=mine["scene"].map(sizes["primitives"]))
+            made.append(mine.sort_values(["chosen", "scene", "primitives"], kind="stable"))
+    return pd.concat(made, ignore_index=True)

@@ -173,7 +173,8 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
         first at which its mean is below the best control's, with the interval `low` (milder) and
         `high` (harder) over resamples; `clean` is before any stress and `none` beyond the hardest
         level. `control` is the best one there, `lead` by how much the method is above it without
-        stress, in the metric's unit.
+        stress, in the metric's unit. Levels at which no control has a value judge nobody; where
+        that is all of them, the row is empty.
     """
     curves: dict[tuple, dict[tuple[str, str], Curve]] = {}
     for key, rows in _curves(scores[scores["metric"].isin(JUDGED_BY)]):
@@ -197,12 +198,16 @@ def _breaking_point(
 ) -> dict[str, Any]:
     names = list(controls)
     means = np.stack([controls[name].means for name in names])
-    best = np.nanargmax(means, axis=0)
+    best = np.where(np.isnan(means), -np.inf, means).argmax(axis=0)
+    bar = np.take_along_axis(means, best[None], axis=0)  # [1, L], NaN where no control has a value
+    defined = np.flatnonzero(~np.isnan(bar[0]))
+    if not len(defined):
+        return {"level": "", "low": "", "high": "", "control": "", "lead": np.nan}
     rivals = np.stack(
         [controls[names[who]].samples[:, number] for number, who in enumerate(best)], axis=1
     )
     labels = ["clean" if np.isnan(level) else f"{level:g}" for level in curve.levels] + ["none"]
-    first = _first_broken(curve.means[None], means.max(axis=0)[None])[0]
+    first = _first_broken(curve.means[None], bar)[0]
     tail = (1 - confidence) / 2
     ends = np.quantile(
         _first_broken(curve.samples, rivals), [tail, 1 - tail], method="inverted_cdf"
@@ -211,8 +216,8 @@ def _breaking_point(
         "level": labels[first],
         "low": labels[int(ends[0])],
         "high": labels[int(ends[1])],
-        "control": names[best[min(first, len(best) - 1)]][0],
-        "lead": curve.means[0] - means[best[0], 0],
+        "control": names[best[min(first, defined[-1])]][0],
+        "lead": curve.means[0] - bar[0, 0],
     }
 
 
@@ -220,8 +225,11 @@ def _first_broken(
     values: np.ndarray,  # [R, L]
     rivals: np.ndarray,  # [R, L]
 ) -> np.ndarray:
-    """(R,) index of the first level below its rival; L where there is none. No value is below."""
-    broken = ~(values >= rivals)
+    """(R,) index of the first level below its rival; L where there is none.
+
+    No value is below, but nothing is below a rival without one: there the level says nothing.
+    """
+    broken = ~(values >= rivals) & ~np.isnan(rivals)
     return np.where(broken.any(axis=1), broken.argmax(axis=1), values.shape[1])
 
 

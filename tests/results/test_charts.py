@@ -7,6 +7,7 @@ import pytest
 from geoevs.results.chart_pages import (
     HEIGHT,
     LABEL_SIZE,
+    _domains,
     _label_heights,
     draw_page,
     page_html,
@@ -78,6 +79,75 @@ def test_where_less_is_better_the_frontier_goes_down(rows):
     assert table.index[table["render_seconds_frontier"]].tolist() == [("mean-colour", "default")]
 
 
+# Of the entrants above: what a distance of sets says of each.
+DISTANCES = {"mean-colour": 40.0, "reproject": 0.5, "geo-evs": 0.1, "reference": 0.0}
+
+
+def distances(metric, values=DISTANCES, **more):
+    return [
+        {"dataset": "d", "split": "extrapolation", "method": method, "variant": "default"}
+        | {"seed": seed, "metric": metric, "value": value + shift, "low": value, "high": value + 2}
+        | {"views": 4, "failed": 0}
+        | more
+        for method, value in values.items()
+        for seed, shift in ((0, -0.05), (1, 0.05))
+    ]
+
+
+def with_sets(rows, *sets, name="extrapolation"):
+    return speed_accuracy(
+        name, *rows, SETTINGS, pd.DataFrame([row for some in sets for row in some])
+    )
+
+
+def test_distances_of_sets_are_means_over_seeds_and_fewer_is_better(rows):
+    other = distances("texture_energy", split="observed", value=9.0)
+    table = with_sets(rows, distances("texture_energy"), other)
+    table = table[table["metric"] == "texture_energy"].set_index("method")
+    assert table["mean"].to_dict() == pytest.approx(
+        {"mean-colour": 40.0, "reproject": 0.5, "geo-evs": 0.1}
+    )
+    assert table.loc["reproject", ["low", "high", "n"]].tolist() == [0.5, 2.5, 8]
+    # From fast to slow: 40, 0.5 and 0.1. All take the same memory.
+    assert table["render_seconds_frontier"].all()
+    assert table.index[table["peak_memory_mb_frontier"]].tolist() == ["geo-evs"]
+    again = with_sets(rows, distances("texture_energy", {**DISTANCES, "geo-evs": 0.6}))
+    again = again[again["metric"] == "texture_energy"].set_index("method")
+    assert again["render_seconds_frontier"].to_list() == [True, True, False]
+
+
+def test_the_weight_free_distance_stands_in_where_no_other_is_measured(rows):
+    missing = distances("fid", value=np.nan, low=np.nan, high=np.nan)
+    assert "fid" not in set(with_sets(rows, missing, distances("texture_energy"))["metric"])
+    fid = distances("fid", low=np.nan, high=np.nan)
+    metrics = with_sets(rows, fid, distances("texture_energy"))["metric"]
+    assert set(metrics) == {"sparse_psnr", "fid"}
+    sets = pd.DataFrame(distances("texture_energy"))
+    assert set(speed_accuracy("pose_offset", *rows, SETTINGS, sets)["metric"]) == {"sparse_psnr"}
+    assert "texture_energy" not in set(charted(rows)["metric"])
+
+
+@pytest.mark.parametrize("metric", ["fid", "texture_energy", "lpips", "psnr"])
+def test_up_is_better_on_every_axis(rows, metric):
+    worse, better = (0.2, 0.1) if metric != "psnr" else (20.0, 30.0)
+    points = pd.DataFrame({"low": [worse, better], "high": [worse, better]})
+    points = points.assign(x_low=1.0, x_high=2.0)
+    _, (bottom, top) = _domains(points, metric)
+    assert (worse - bottom) * (top - better) > 0  # room at both ends
+    assert (top > bottom) == (better > worse)
+
+
+def test_a_page_shows_distances_of_sets_on_an_axis_of_decades(rows):
+    table = with_sets(rows, distances("texture_energy", {**DISTANCES, "geo-evs": -0.01}))
+    page = draw_page("extrapolation", table, SETTINGS)
+    text = page.to_json()
+    assert '"symlog"' in text
+    assert "texture_energy ↓ (reversed: up is better)" in json.dumps(
+        json.loads(text), ensure_ascii=False
+    )
+    assert page_png(page).startswith(b"\x89PNG")
+
+
 def test_costs_have_intervals_and_logarithms(rows):
     table = charted(rows).set_index(["method", "variant"])
     row = table.loc[("reproject", "default")]
@@ -114,6 +184,9 @@ def test_names_of_the_frontier_never_overlap():
     pixels = heights.sort_values() * HEIGHT
     assert np.diff(pixels).min() >= LABEL_SIZE
     assert (heights >= data["y"]).all()
+    # The same upside down, where less is better.
+    data = data.assign(y=-data["y"])
+    assert _label_heights(data, [0.01, 0.2], [-20.0, -21.0]).tolist() == pytest.approx(-heights)
 
 
 @pytest.mark.parametrize("name", ["extrapolation", "pose_offset"])

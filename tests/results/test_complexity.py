@@ -1,13 +1,24 @@
 """The table of chosen and fixed sizes, from rows by hand."""
 
 import math
+from pathlib import Path
 
 import pytest
+import yaml
 
 from geoevs.protocol.rows import COST_TYPES, cost_frame
 from geoevs.protocol.targets import ALL_CAMERAS
-from geoevs.results.complexity import complexity_markdown, make_complexity_table
+from geoevs.results.chart_pages import page_html, page_png
+from geoevs.results.complexity import (
+    FIXED,
+    complexity_markdown,
+    make_complexity_table,
+    size_curves,
+)
+from geoevs.results.complexity_chart import size_chart
 
+SCALE = Path(__file__).parents[2] / "workflow/scales/complexity.yaml"
+SETTINGS = {"resamples": 50, "confidence": 0.9}
 SIZES = {"default": (3000, 10.0), "2k": (2000, 4.0), "8k": (8000, 20.0)}
 
 
@@ -86,3 +97,65 @@ def test_markdown_shows_sizes_and_signs(rows, costs):
     text = complexity_markdown(make_complexity_table(scores, costs(*entrants())))
     line = "| 3DGS | s | 3,000 | 20.00 | 10.0 | 8,000 | 20.50 | 20.0 | +0.50 | -10.0 |  |"
     assert line in text
+
+
+@pytest.fixture
+def three_scenes(rows, costs):
+    """Rows of scenes that chose 9,000, nothing, and 3,000 primitives, and were run at 2k and 8k."""
+    chosen = {"s": (9000, 9.0), "t": None, "u": (3000, 3.0)}
+    fits, values = [], []
+    for scene, size in chosen.items():
+        sizes = {"2k": (2000, 4.0), "8k": (8000, 20.0)} | ({"default": size} if size else {})
+        fits += entrants(scene, sizes)
+        values += scored(scene, _2k=(19.0, 21.0), _8k=(24.0, 24.0))
+        values += scored(scene, default=(22.0, 23.0)) if size else []
+    dense = [row | {"metric": "psnr", "value": row["value"] - 1} for row in values]
+    others = [
+        {"method": "reproject", "value": 30.0},
+        {"method": "three-dgs", "variant": "gradient", "scene": "s", "value": 30.0},
+        {"method": "three-dgs", "variant": "2k", "scene": "s", "metric": "gms", "value": 1.0},
+    ]
+    return rows(*values, *dense, *others), costs(*fits, {"method": "reproject"})
+
+
+def test_scenes_are_sorted_by_the_size_chosen_there(three_scenes):
+    table = make_complexity_table(*three_scenes)
+    assert table["scene"].tolist() == ["u", "s", "t", "mean"]
+    curves = size_curves(*three_scenes, SETTINGS)
+    assert list(dict.fromkeys(curves["scene"])) == ["u", "s", "t"]
+
+
+def test_a_curve_has_every_size_of_a_scene_with_its_interval(three_scenes):
+    curves = size_curves(*three_scenes, SETTINGS)
+    assert set(curves["metric"]) == {"sparse_psnr", "psnr"}
+    mine = curves[(curves["scene"] == "s") & (curves["metric"] == "psnr")]
+    assert mine["variant"].tolist() == ["2k", "8k", "default"]
+    assert mine["primitives"].tolist() == [2000, 8000, 9000]
+    assert mine["mean"].tolist() == [19.0, 23.0, 21.5]
+    assert mine[["low", "high"]].to_numpy().tolist() == [[18, 20], [23, 23], [21, 22]]
+    assert mine["chosen"].tolist() == [9000] * 3
+    assert curves[curves["scene"] == "t"]["chosen"].isna().all()
+
+
+def test_the_chart_has_a_panel_a_scene_and_needs_no_network(three_scenes):
+    page = size_chart(size_curves(*three_scenes, SETTINGS))
+    (row,) = page.to_dict()["vconcat"]
+    titles = [panel["title"] for panel in row["concat"]]
+    assert titles == ["u: 3,000 chosen", "s: 9,000 chosen", "t: no chosen size"]
+    assert 'src="http' not in page_html(page)
+    assert page_png(page).startswith(b"\x89PNG")
+
+
+def test_without_fixed_sizes_the_chart_says_how_to_run_them(rows, costs):
+    table = size_curves(rows(*scored(default=(20.0,))), costs(entrants()[0]), SETTINGS)
+    assert table.empty
+    assert "chosen" in table
+    page = size_chart(table)
+    assert "workflow/scales/complexity.yaml" in page.to_json()
+    assert page_png(page).startswith(b"\x89PNG")
+    assert SCALE.exists()
+
+
+def test_the_scale_of_sizes_names_them_so_that_they_count_as_fixed():
+    labels = yaml.safe_load(SCALE.read_text())["methods"]
+    assert all(FIXED.fullmatch(label.split(".")[1]) for label in labels)

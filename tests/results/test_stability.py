@@ -91,6 +91,70 @@ def test_the_breaking_point_is_the_first_level_below_the_best_control(rows, clea
     assert set(broken["method"]) == {"mine"}
 
 
+def test_a_control_without_a_value_leaves_the_others_to_judge(rows):
+    gone = curve("nearest-view", 30.0, [math.nan] * 3)  # no car in view of it, say
+    mine = curve("mine", 31.0, [21, 15, 11])
+    broken = breaking_points(rows(*CONTROLS, *gone, *mine), SETTINGS)
+    row = one(broken, method="mine")
+    # Above 30, 20, then below the 16 of reproject-inpaint.
+    assert (row["level"], row["low"], row["high"]) == ("0.05", "0.05", "0.05")
+    assert row["control"] == "reproject-inpaint"
+    assert row["lead"] == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("values", "level", "control"),
+    [
+        ([21, math.nan, 5.0], "0.01", "mean-colour"),  # 21 > 20; nobody has a value; 5 < 10
+        ([19, math.nan, 11.0], "0.1", "reproject-inpaint"),
+        ([21, math.nan, 11.0], "none", "mean-colour"),
+    ],
+)
+def test_levels_that_no_control_has_a_value_at_judge_nobody(rows, values, level, control):
+    controls = [
+        *curve("mean-colour", 10.0, [10.0, math.nan, 10.0]),
+        *curve("reproject-inpaint", 24.0, [20.0, math.nan, 9.0]),
+    ]
+    broken = breaking_points(rows(*controls, *curve("mine", 25.0, values)), SETTINGS)
+    row = one(broken, method="mine")
+    assert (row["level"], row["low"], row["high"]) == (level, level, level)
+    assert row["control"] == control
+
+
+def test_where_the_hardest_level_is_undefined_the_last_that_is_names_the_control(rows):
+    controls = [
+        *curve("mean-colour", 10.0, [10.0, 10.0, math.nan]),
+        *curve("reproject-inpaint", 24.0, [20.0, 16.0, math.nan]),
+    ]
+    mine = curve("mine", 25.0, [21, 17, math.nan])
+    row = one(breaking_points(rows(*controls, *mine), SETTINGS), method="mine")
+    assert (row["level"], row["high"]) == ("none", "none")
+    assert row["control"] == "reproject-inpaint"
+
+
+def test_a_metric_that_nobody_has_breaks_nobody(rows):
+    nobody = [
+        row
+        for method in ("mean-colour", "mine")
+        for row in curve(method, None, [math.nan] * 3, "motion", [0, 5, 10], metric="psnr_moving")
+    ]
+    broken = breaking_points(rows(*CONTROLS, *curve("mine", 25, [21, 17, 11]), *nobody), SETTINGS)
+    row = one(broken, method="mine", metric="psnr_moving")
+    assert (row["level"], row["low"], row["high"], row["control"]) == ("", "", "", "")
+    page = stability_markdown(broken, seed_spread(rows()[:0], SETTINGS))
+    assert "## d, psnr_moving" in page
+    assert "| mine |  |" in page
+
+
+def test_resamples_without_a_value_break_nobody(rows):
+    seen = [
+        row | ({"value": math.nan} if row["frame"] == 0 else {})
+        for row in [*CONTROLS, *curve("mine", 25.0, [21, 17, 11])]
+    ]  # a quarter of the resamples draw frame 0 twice
+    row = one(breaking_points(rows(*seen), SETTINGS), method="mine")
+    assert (row["level"], row["low"], row["high"]) == ("none", "none", "none")
+
+
 def test_its_interval_holds_what_draws_leave_open(rows):
     mine = curve("mine", 30, [20.5, 16.5, 11], wobble=1.0)
     row = one(breaking_points(rows(*CONTROLS, *mine), SETTINGS), method="mine")

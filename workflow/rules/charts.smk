@@ -1,12 +1,16 @@
-# Speed against accuracy of every entrant, one page for every table.
+# Speed against accuracy of every entrant, one page for every table; accuracy over size.
 
 CHART_FILES = [in_run(layout.CHART) + suffix for suffix in (".csv", ".png", ".html")]
+SIZE_FILES = [
+    in_run(layout.COMPLEXITY_CHART) + suffix for suffix in (".csv", ".png", ".html")
+]
 
 
 rule chart:
     input:
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
+        sets=in_run(layout.SET_SCORES),
     output:
         CHART_FILES,
     log:
@@ -17,9 +21,28 @@ rule chart:
         code=code_hash("geoevs.results.chart_pages"),
     shell:
         "geoevs --log {log:q} chart {wildcards.table} --scores {input.scores:q}"
-        " --costs {input.costs:q} --settings {params.settings:q} --out {params.stem:q}"
+        " --costs {input.costs:q} --sets {input.sets:q} --settings {params.settings:q}"
+        " --out {params.stem:q}"
+
+
+rule complexity_chart:
+    input:
+        scores=in_run(layout.SCORES),
+        costs=in_run(layout.COSTS),
+    output:
+        SIZE_FILES,
+    log:
+        in_run("logs/complexity_chart.log"),
+    params:
+        settings=json.dumps(config["tables"]),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
+        code=code_hash("geoevs.results.complexity_chart"),
+    shell:
+        "geoevs --log {log:q} complexity-chart --scores {input.scores:q} --costs {input.costs:q}"
+        " --settings {params.settings:q} --out {params.stem:q}"
 
 
 rule charts:
     input:
         expand(CHART_FILES, table=TABLES),
+        SIZE_FILES,

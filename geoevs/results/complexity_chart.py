@@ -1,0 +1,74 @@
+"""Pictures of accuracy over size: what each scene needs, and what was chosen for it."""
+
+import altair as alt
+import numpy as np
+import pandas as pd
+
+from geoevs.results.chart_pages import HEIGHT, WIDTH
+from geoevs.results.complexity import CHARTED, CHOSEN, TITLE
+from geoevs.results.tables import display_name
+
+COLUMNS = 4
+"""Panels side by side."""
+
+NOTHING = (
+    "No fixed size was run.",
+    "snakemake --cores 2 --configfile config.yaml workflow/scales/complexity.yaml -- charts",
+    "adds some.",
+)
+SHAPES = {"fixed": "circle", "chosen": "diamond"}
+
+
+def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
+    """A panel for every scene, those of a method together, smallest chosen size first.
+
+    Args:
+        table: what `size_curves` made; where it is empty, the page says so.
+    """
+    if table.empty:
+        note = alt.Chart(pd.DataFrame({"note": [list(NOTHING)]})).mark_text(fontSize=13)
+        return alt.vconcat(note.encode(text="note:N").properties(width=2 * WIDTH, height=80))
+    rows = []
+    for (dataset, method), mine in table.groupby(["dataset", "method"], sort=False):
+        panels = [_panel(some, str(scene)) for scene, some in mine.groupby("scene", sort=False)]
+        title = f"{dataset}: {display_name(method, CHOSEN)}"
+        rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
+    title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
+    page = alt.vconcat(*rows, title=title).resolve_scale(color="shared", shape="shared")
+    return page.configure_view(stroke="#ddd").configure_axis(gridColor="#eee")
+
+
+def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:
+    """The metrics of one scene over size: a line through fixed sizes, and the chosen one."""
+    data = fits.assign(kind=np.where(fits["variant"] == CHOSEN, "chosen", "fixed"))
+    data = data.drop(columns=["dataset", "method"])
+    x = alt.X("primitives:Q", title="primitives")
+    x = x.scale(type="log", nice=False, padding=15).axis(tickCount=5, format="~s")
+    y = alt.Y("mean:Q", title="dB ↑").scale(zero=False)
+    color = alt.Color("metric:N", title="Metric").scale(domain=list(CHARTED)).legend(orient="top")
+    base = alt.Chart(data).encode(x=x, color=color)
+    shape = alt.Shape("kind:N", title="Size").scale(
+        domain=list(SHAPES), range=list(SHAPES.values())
+    )
+    tips = [
+        alt.Tooltip("variant:N", title="size"),
+        alt.Tooltip("primitives:Q", format=",.0f"),
+        alt.Tooltip("fit_seconds:Q", title="fit, seconds", format=".4g"),
+        "metric:N",
+        *(alt.Tooltip(f"{end}:Q", format=".4g") for end in ("mean", "low", "high")),
+        alt.Tooltip("n:Q", title="views"),
+    ]
+    lines = base.transform_filter("datum.kind == 'fixed'").mark_line().encode(y=y)
+    bars = base.mark_rule().encode(y=alt.Y("low:Q", title="dB ↑"), y2="high:Q")
+    size = alt.condition("datum.kind == 'chosen'", alt.value(150), alt.value(45))
+    dots = base.mark_point(filled=True, opacity=1).encode(
+        y=y, shape=shape.legend(orient="top"), size=size, tooltip=tips
+    )
+    layers = lines + bars + dots
+    chosen = fits["chosen"].iloc[0]
+    title = f"{scene}: no chosen size"
+    if np.isfinite(chosen):
+        mark = alt.Chart(pd.DataFrame({"primitives": [chosen]}))
+        layers = mark.mark_rule(strokeDash=[4, 3], color="#888").encode(x=x) + layers
+        title = f"{scene}: {chosen:,.0f} chosen"
+    return layers.properties(width=WIDTH, height=HEIGHT, title=title)
