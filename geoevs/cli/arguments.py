@@ -19,6 +19,13 @@ Scores = Annotated[Path, typer.Option(help="The run's scores.parquet.")]
 Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
 SetScores = Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")]
 TableSettings = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
+Work = Annotated[
+    Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Decides initial weights and every batch.")]
+Scenes = Annotated[list[Path], typer.Option(help="A scene store; repeat for more.")]
+Steps = Annotated[int, typer.Option(min=1, help="Optimiser steps.")]
+Rate = Annotated[float, typer.Option(help="Peak learning rate of AdamW.")]
 
 EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}
 

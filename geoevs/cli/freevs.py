@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, SceneFolder, parse_json
-from geoevs.cli.generator import Seed, Work, failure_written
+from geoevs.cli.arguments import Out, SceneFolder, Seed, Work, parse_json
+from geoevs.cli.generator import failure_written
 from geoevs.progress import progress_bar, training_bar
 
 

@@ -8,18 +8,11 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, parse_json
+from geoevs.cli.arguments import Out, Rate, Scenes, Seed, Steps, Work, parse_json
 from geoevs.errors import GeoEvsError
 from geoevs.progress import training_bar
 
-Work = Annotated[
-    Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
-]
-Seed = Annotated[int, typer.Option(min=0, help="Decides initial weights and every batch.")]
-Scenes = Annotated[list[Path], typer.Option(help="A scene store; repeat for more.")]
-Steps = Annotated[int, typer.Option(min=1, help="Optimiser steps.")]
 Batch = Annotated[int, typer.Option(min=1, help="Images a step.")]
-Rate = Annotated[float, typer.Option(help="Peak learning rate of AdamW.")]
 
 
 def register(app: typer.Typer) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, SceneFolder
+from geoevs.cli.arguments import Out, Rate, SceneFolder, Scenes, Seed, Steps, Work
 from geoevs.errors import GeoEvsError
 from geoevs.progress import progress_bar, training_bar
 
@@ -19,12 +19,10 @@ def register(app: typer.Typer) -> None:
 
 def train_geometry(
     out: Out,
-    work: Annotated[
-        Path, typer.Option(help="Its state, losses and previews; a killed training goes on.")
-    ],
-    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps.")],
+    work: Work,
+    steps: Steps,
     batch: Annotated[int, typer.Option(min=1, help="Frames a step.")],
-    learning_rate: Annotated[float, typer.Option(help="Peak learning rate of AdamW.")],
+    learning_rate: Rate,
     scenes: Annotated[
         list[Path] | None, typer.Option(help="A scene store; repeat for more.")
     ] = None,
@@ -36,7 +34,7 @@ def train_geometry(
         Path | None, typer.Option(help="VGGT weights to fine-tune; left out, a new nano one.")
     ] = None,
     half: Annotated[bool, typer.Option("--half", help="Store weights as float16.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Decides every batch.")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Fine-tune VGGT on driving scenes, or train a nano one from scratch."""
     import torch
@@ -63,16 +61,14 @@ def train_geometry(
 
 def train_refiner(
     model: Annotated[Path, typer.Option(help="VGGT weights whose depth is to be refined.")],
-    scenes: Annotated[list[Path], typer.Option(help="A scene store; repeat for more.")],
+    scenes: Scenes,
     depths: Annotated[list[Path], typer.Option(help="Its dense true depth, once a scene.")],
     out: Out,
-    work: Annotated[
-        Path, typer.Option(help="Its state, losses and previews; a killed training goes on.")
-    ],
-    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps.")],
+    work: Work,
+    steps: Steps,
     batch: Annotated[int, typer.Option(min=1, help="Views a step.")],
-    learning_rate: Annotated[float, typer.Option(help="Peak learning rate of AdamW.")],
-    seed: Annotated[int, typer.Option(min=0, help="Decides every batch.")] = 0,
+    learning_rate: Rate,
+    seed: Seed = 0,
 ) -> None:
     """Train what refines a VGGT's depth by LiDAR; writes both together, as float16."""
     import torch

@@ -1,6 +1,7 @@
 """Dense depth of a source view from its LiDAR points and its image (no learning)."""
 
 import cv2
+import numba
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
@@ -112,10 +113,22 @@ def _farthest_of_nearest(
 
     A background wrongly brought forward hides things; a foreground wrongly sent back does not.
     """
-    count = min(NEIGHBOURS, len(candidates))
-    distance, index = cKDTree(candidates).query(queries, k=np.arange(1, count + 1))
+    distance, index = nearest(candidates, queries, NEIGHBOURS)
     tied = distance <= TIE * distance[:, :1]
     return np.where(tied, inverse[index], np.inf).min(axis=1)
+
+
+def nearest(
+    candidates: np.ndarray,  # [N, D]
+    queries: np.ndarray,  # [M, D]
+    count: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices, each (M, K), of the K = min(count, N) nearest candidates in order."""
+    ranks = np.arange(1, min(count, len(candidates)) + 1)
+    # What the job may have; numba.get_num_threads() would set PyTorch's threads too, which share
+    # its OpenMP.
+    threads = numba.config.NUMBA_NUM_THREADS
+    return cKDTree(candidates).query(queries, k=ranks, workers=threads)
 
 
 def _interpolate(

@@ -3,9 +3,8 @@
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from geoevs.geometry.lidar import lidar_reach
+from geoevs.geometry.lidar import lidar_reach, nearest
 from geoevs.scenes.camera import Camera
 
 # Distances are tangents (pixels over focal length), so that nothing depends on the resolution.
@@ -77,8 +76,7 @@ def fit_scale(
     gains = np.ones(len(ratios)) if confidence is None else confidence[sampled]
     gains = gains / gains.mean()
 
-    count = np.arange(1, min(NEIGHBOURS, len(ratios)) + 1)
-    distance, index = cKDTree(places[samples]).query(places, k=count)
+    distance, index = nearest(places[samples], places, NEIGHBOURS)
     weights = gains[index] * (PRIOR_REACH / np.maximum(distance, AT_LIDAR)) ** 2
     prior = np.log(factor)
     local = (weights * (ratios[index] - prior)).sum(axis=1) / (1 + weights.sum(axis=1))

@@ -1,5 +1,6 @@
 """How good the depth of recorded views is, before and after fine-tuning (paper section 3.2)."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,9 @@ FARTHEST = 80.0
 
 DENSE, LIDAR = "dense", "lidar"
 """Where the truth is from."""
+
+COVERAGE = "coverage"
+"""The metric that says on how much of the truth the others are."""
 
 DEPTH_SCORE_TYPES = {
     "dataset": "string",
@@ -70,7 +74,9 @@ def depth_scores(
     """Score the depth of every recorded view: one row a view, candidate, scale and metric.
 
     Truth is dense where `depths` has it, else the LiDAR points that score, where they pass the
-    footprint test. `seconds` is of the view's whole frame, reading its images included.
+    footprint test. A model is compared where it gives a depth; `coverage` is the share of the
+    truth's pixels where it does. `seconds` is of the view's whole frame, reading its images
+    included.
 
     Args:
         scene: the store.
@@ -118,12 +124,15 @@ def _frame_rows(
     rows = []
     truth, origin = _true_depths(scene, depths, frame)
     for camera in scene.cameras:
-        mask = (truth[camera] > 0) & (truth[camera] <= FARTHEST) & (found[camera] > 0)
-        pixels = np.count_nonzero(mask)
-        view = {"camera": camera, "truth": origin, "valid_pixels": pixels}
-        view["status"] = OK if pixels else EMPTY_MASK
+        known = (truth[camera] > 0) & (truth[camera] <= FARTHEST)
+        mask = known & (found[camera] > 0)
         scores = depth_metrics(found[camera], truth[camera], mask)
-        rows += [{**described, **view, "metric": m, "value": v} for m, v in scores.items()]
+        scores[COVERAGE] = float(mask.sum() / known.sum()) if known.any() else math.nan
+        for metric, value in scores.items():
+            pixels = np.count_nonzero(known if metric == COVERAGE else mask)
+            score = {"metric": metric, "value": value, "valid_pixels": pixels}
+            score["status"] = OK if pixels else EMPTY_MASK
+            rows.append({**described, "camera": camera, "truth": origin, **score})
     return rows
 
 

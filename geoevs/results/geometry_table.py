@@ -5,16 +5,18 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.depth_scoring import CONTROL, FINE_TUNED, PRETRAINED
+from geoevs.protocol.depth_scoring import CONTROL, COVERAGE, FINE_TUNED, PRETRAINED
 from geoevs.results.formats import latex_tabular, markdown_grid
 from geoevs.results.summary import summarise
 
-METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑"}
+METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑", COVERAGE: "↑"}
 TITLE = "Depth of recorded views (paper section 3.2)"
 LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views, up to 80 m;
-`truth` = dense depth, or LiDAR points that no model saw; `scale` = fitted to the other LiDAR
-points, or not at all. Changes are fine-tuned minus pretrained, of the same views. `lidar`, the
-completed points themselves, is a *control*. Seconds a frame are medians.
+`truth` = dense depth, or LiDAR points that no model saw; `coverage` = the share of the truth's
+pixels that the model gives a depth, which alone the other metrics compare; `scale` = fitted to the
+other LiDAR points, or not at all. Changes are fine-tuned minus pretrained, of the same views, and
+left out where nothing changed. `lidar`, the completed points themselves, is a *control*. Seconds a
+frame are medians.
 """
 _ENTRANT = ["dataset", "model", "stage", "scale"]
 
@@ -83,7 +85,7 @@ def _grid(rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
         (metric + suffix, f"{metric} {'change' if suffix else arrow}")
         for metric, arrow in METRICS.items()
         for suffix in ("", "_change")
-        if rows[metric + suffix].notna().any()
+        if (rows[f"{metric}_change"].any() if suffix else rows[metric].notna().any())
     ]
     header = ["model", "stage", "scale", *(title for _, title in shown)]
     body = []

@@ -1,15 +1,20 @@
 """Starting weights: our own files, and the public layout of latent-diffusion models."""
 
 import socket
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from diffusers import AutoencoderKL, DDIMScheduler, PNDMScheduler
 
+import geoevs
+from geoevs.conditions.injection import ArtifactInjection
 from geoevs.errors import GeoEvsError
 from geoevs.generator.condition import ConditionEncoder, FrozenEncoder
 from geoevs.generator.denoiser import Denoiser, conditioned
 from geoevs.generator.diffusion import Diffusion
+from geoevs.generator.generator import Generator, Sampling
 from geoevs.generator.prior import (
     AUTOENCODER_FILE,
     PRIOR_FILE,
@@ -19,6 +24,7 @@ from geoevs.generator.prior import (
     save_autoencoder,
     save_denoiser,
 )
+from geoevs.generator.training import GeoEvsTask, TrainingSettings, train_geo_evs
 from geoevs.network_files import save_network
 
 
@@ -136,6 +142,51 @@ def test_a_public_checkpoint_is_read(public, tmp_path):
     back = prior.autoencoder.decode(prior.autoencoder.encode(images))
     direct = AutoencoderKL.from_pretrained(public / "vae").decode(plain).sample
     torch.testing.assert_close(back, (direct + 1) / 2)
+
+
+def test_training_starts_from_a_public_checkpoint(public, pairs, library, tmp_path):
+    settings = TrainingSettings(
+        **{"prior": str(public), "prediction": "epsilon", "schedule": None, "encoder": "trained"},
+        **{"steps": 2, "batch": 4, "learning_rate": 1e-2, "drop": 0.1, "validity": True},
+        **{"filled": True, "weighting": "uniform", "timesteps": "uniform", "masks": "reprojected"},
+        **{"probability": 0.4, "sampling": {"steps": 2}},
+    )
+    prior = load_prior(str(public), tmp_path / "none")
+    assert prior.autoencoder.block == 1
+    before = prior.denoiser.unet.conv_in.weight.clone()
+    old = before.shape[1]
+    injection = ArtifactInjection("reprojected", 0.4, *pairs.target.shape[1:3], library)
+    task = GeoEvsTask(prior, pairs, injection, settings, 0)
+    # Block 1: latents of pixels as they are. The layer is widened, by zeros.
+    first = task.model.unet.conv_in.weight
+    assert first.shape[1] == old + task.model.encoder.channels
+    assert torch.equal(first[:, :old], before)
+    assert not first[:, old:].any()
+
+    work = tmp_path / "work"
+    trained = train_geo_evs(settings, pairs, library, tmp_path, 0, work, lambda loss: None)
+    assert trained.diffusion == Diffusion("epsilon", "scaled_linear", 0.001, 0.02)
+    moved = trained.denoiser.unet.conv_in.weight
+    # Of every new input, the condition's latent as well as the trained features.
+    assert moved[:, old:].abs().amax(dim=(0, 2, 3)).min() > 0
+    assert not torch.equal(moved[:, :old], before)
+    loaded = load_prior(str(public), tmp_path / "none")
+    assert same(trained.autoencoder, loaded.autoencoder)
+    losses = np.loadtxt(work / "losses.csv", delimiter=",", skiprows=1)
+    assert losses.shape[0] == 2
+    assert np.isfinite(losses).all()
+    trained.save(tmp_path / "made")
+    random = torch.Generator().manual_seed(0)
+    image = pairs.rgb[:1] / np.float32(255), pairs.valid[:1]
+    made = Generator.load(tmp_path / "made").generate(*image, Sampling(2), random)
+    assert made.shape == pairs.target[:1].shape
+    assert np.isfinite(made).all()
+
+
+def test_the_shipped_weights_are_small_enough_for_the_repository():
+    shipped = sorted((Path(geoevs.__file__).parent / "weights").glob("*.safetensors"))
+    assert len(shipped) == 3
+    assert sum(path.stat().st_size for path in shipped) <= 25e6
 
 
 def test_a_public_checkpoint_that_inpaints_is_refused(public, networks, tmp_path):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from geoevs.geometry.lidar import complete_depth, lidar_reach
+from geoevs.geometry import lidar
+from geoevs.geometry.lidar import complete_depth, lidar_reach, nearest
 from geoevs.scenes.camera import Camera
 
 HEIGHT, WIDTH = 40, 60
@@ -137,3 +138,24 @@ def test_resolution_changes_nothing_but_the_grid():
     twice = complete_depth(points, CAMERA.resized(2 * HEIGHT, 2 * WIDTH), fine)
     np.testing.assert_array_equal(twice[8:-8, :60], 5)
     np.testing.assert_array_equal(twice[8:-8, 60:], 20)
+
+
+def test_the_nearest_are_the_same_on_any_number_of_threads(monkeypatch):
+    rng = np.random.default_rng(0)
+    candidates, queries = rng.random((40, 3)), rng.random((500, 3))
+    far = np.linalg.norm(queries[:, None] - candidates, axis=2)
+    asked, query = [], lidar.cKDTree.query
+
+    class Tree(lidar.cKDTree):
+        def query(self, *arguments, **options):
+            asked.append(options["workers"])
+            return query(self, *arguments, **options)
+
+    monkeypatch.setattr(lidar, "cKDTree", Tree)
+    for threads in (1, 2):
+        monkeypatch.setattr(lidar.numba.config, "NUMBA_NUM_THREADS", threads)
+        distance, index = nearest(candidates, queries, 4)
+        np.testing.assert_array_equal(index, far.argsort(axis=1)[:, :4])
+        np.testing.assert_allclose(distance, np.sort(far, axis=1)[:, :4])
+        assert [part.shape for part in nearest(candidates[:3], queries[:0], 4)] == [(0, 3)] * 2
+    assert asked == [1, 1, 2, 2]

@@ -48,13 +48,17 @@ def values(rows, **where):
 def test_dense_truth_scores_every_pixel_that_has_a_prediction(scene, tmp_path):
     candidates = [Candidate("mine", "pretrained", Distorted())]
     rows = depth_scores(scene, true_depths(scene, tmp_path), candidates, PLACE)
-    # Two frames of three cameras, at two scales, in three metrics.
-    assert len(rows) == 2 * 3 * 2 * 3
+    # Two frames of three cameras, at two scales, in four metrics.
+    assert len(rows) == 2 * 3 * 2 * 4
     assert values(rows, scale="none", metric="abs_rel").tolist() == [1.0] * 6
     assert values(rows, scale="none", metric="delta_1.25").tolist() == [0.0] * 6
     assert values(rows, scale="lidar", metric="rmse").tolist() == [0.0] * 6
     assert rows["truth"].unique().tolist() == ["dense"]
-    assert rows["valid_pixels"].unique().tolist() == [(48 - 5) * 72]
+    # Five of 48 rows have no prediction: what is compared is the rest, and coverage says so.
+    assert values(rows, metric="coverage").unique().tolist() == [43 / 48]
+    counts = rows.groupby("metric")["valid_pixels"].unique().map(list).to_dict()
+    assert counts.pop("coverage") == [48 * 72]
+    assert list(counts.values()) == [[43 * 72]] * 3
     assert rows["parameters"].unique().tolist() == [7]
     assert (rows["seconds"] > 0).all()
     assert rows["seconds"].nunique() == 4  # one a frame and scale
@@ -71,7 +75,8 @@ def test_the_far_and_the_sky_do_not_count(scene, tmp_path):
 
     candidates = [Candidate("mine", "pretrained", Distorted())]
     rows = depth_scores(scene, true_depths(scene, tmp_path, change), candidates, PLACE)
-    assert rows["valid_pixels"].unique().tolist() == [(30 - 5) * 72]
+    assert values(rows, metric="coverage").unique().tolist() == [(30 - 5) / 30]
+    assert rows.groupby("metric")["valid_pixels"].first()["abs_rel"] == (30 - 5) * 72
 
 
 def test_without_dense_truth_the_scoring_lidar_is_truth(scene, tmp_path):
@@ -85,6 +90,9 @@ def test_without_dense_truth_the_scoring_lidar_is_truth(scene, tmp_path):
         for name in scene.cameras:
             seen = zbuffer(odd, scene.camera(name, number), visibility="footprint").mask[5:]
             assert counts.loc[(number, name), "valid_pixels"] == seen.sum() > 50
+            every = zbuffer(odd, scene.camera(name, number), visibility="footprint").mask.sum()
+            shares = values(rows, scale="none", metric="coverage")
+            assert shares[number, name] == seen.sum() / every < 1
     # A point lies anywhere in its pixel, the truth is that of the centre.
     np.testing.assert_allclose(values(rows, scale="none", metric="abs_rel"), 1, atol=0.1)
     assert (values(rows, scale="lidar", metric="delta_1.25") > 0.95).all()
@@ -106,4 +114,18 @@ def test_nothing_to_compare_is_a_row_that_says_so(scene, tmp_path):
     rows = depth_scores(scene, true_depths(scene, tmp_path, nothing), candidates, PLACE)
     assert rows["status"].unique().tolist() == ["empty-mask"]
     assert rows["value"].isna().all()
-    assert len(rows) == 36
+    assert len(rows) == 48
+
+
+def test_a_model_without_depth_covers_nothing(scene, tmp_path):
+    class Blind(Distorted):
+        def depths(self, views, frame):
+            return {name: 0 * depth for name, depth in super().depths(views, frame).items()}
+
+    candidates = [Candidate("mine", "pretrained", Blind())]
+    rows = depth_scores(scene, true_depths(scene, tmp_path), candidates, PLACE)
+    covered = rows["metric"] == "coverage"
+    assert rows[covered]["value"].unique().tolist() == [0.0]
+    assert rows[covered]["status"].unique().tolist() == ["ok"]
+    assert rows[~covered]["value"].isna().all()
+    assert rows[~covered]["status"].unique().tolist() == ["empty-mask"]

@@ -130,6 +130,28 @@ def test_no_change_is_not_negative():
     assert "| +0.000 |" in geometry_markdown(made)
 
 
+def test_coverage_stands_beside_what_it_limits():
+    whole = {"metric": "coverage", "value": 1.0}
+    lidar = {"model": "lidar", "stage": "control", "scale": "lidar"}
+    made = make_geometry_table(
+        rows(
+            {},
+            whole,
+            {"stage": "fine-tuned", "value": 0.4},
+            {"stage": "fine-tuned", **whole},
+            {**lidar, "value": 0.1},
+            {**lidar, **whole, "value": 0.75},
+        ),
+        SETTINGS,
+    )
+    assert made["coverage"].tolist() == [1.0, 1.0, 0.75]
+    header, _, *lines = geometry_markdown(made).splitlines()[4:9]
+    # A network gives every pixel a depth before and after, which is no change to show.
+    columns = "abs_rel ↓ | abs_rel change | coverage ↑ | truth"
+    assert columns in header
+    assert [line.split(" | ")[5] for line in lines] == ["1.000", "1.000", "0.750"]
+
+
 def test_the_control_alone_has_no_changes():
     made = make_geometry_table(
         rows({"model": "lidar", "stage": "control", "scale": "lidar", "truth": "lidar"}), SETTINGS

@@ -100,12 +100,12 @@ def test_it_fine_tunes_and_scores_depth(smoke_run):
 
     rows = pd.read_parquet(results / "depth-scores.parquet")
     assert list(rows.columns) == list(DEPTH_SCORE_TYPES)
-    # Two frames of five cameras, in three metrics.
+    # Two frames of five cameras, in four metrics.
     counts = rows.groupby(["model", "stage", "scale"]).size().to_dict()
     network = [("vggt-nano", stage) for stage in ("fine-tuned", "pretrained")]
     assert counts == {
-        ("lidar", "control", "lidar"): 30,
-        **{(*entrant, scale): 30 for entrant in network for scale in ("lidar", "none")},
+        ("lidar", "control", "lidar"): 40,
+        **{(*entrant, scale): 40 for entrant in network for scale in ("lidar", "none")},
     }
     assert set(rows["scene"]) == {"junction-201"}
     assert set(rows["truth"]) == {"dense"}
