@@ -1,6 +1,8 @@
 """A small run that has everything a report shows: pictures, tables, charts and a failure."""
 
+import dataclasses
 import math
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -8,9 +10,11 @@ import pytest
 
 from geoevs import layout
 from geoevs.io import write_bytes, write_image, write_json, write_text
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import References
 from geoevs.protocol.rows import COST_TYPES, SCORE_TYPES, cost_frame, score_frame
 from geoevs.protocol.set_scoring import set_frame
-from geoevs.protocol.targets import read_targets
+from geoevs.protocol.targets import read_targets, virtual_targets
 from geoevs.results.chart_pages import draw_page, page_html
 from geoevs.results.charts import speed_accuracy
 from geoevs.results.report.page import make_page
@@ -24,8 +28,10 @@ VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, 
 
 @pytest.fixture(scope="session")
 def reported(run, tmp_path_factory):
-    """The run's folder, and its page."""
+    """The folder of a run whose references have black pixels, and its page."""
+    run = shutil.copytree(run, tmp_path_factory.mktemp("reported") / "run")
     targets = read_targets(run / layout.TARGETS.format(**PLACE))
+    blacken(run / layout.REFERENCES.format(**PLACE), targets)
     blank = {"string": "", "int64": 0, "float64": math.nan}
     usual = {name: blank[kind] for name, kind in SCORE_TYPES.items()} | PLACE
     usual |= {"variant": "default", "fingerprint": "f", "support_ratio": 0.01}
@@ -74,6 +80,17 @@ def reported(run, tmp_path_factory):
     page = run / layout.REPORT
     write_text(page, make_page(run))
     return run, page
+
+
+def blacken(path, targets):
+    """Make every other valid pixel of the references black."""
+    references = References(path)
+    changed = {}
+    for target in virtual_targets(targets):
+        found = references[target.key]
+        rgb = found.rgb * (np.arange(len(found.rgb)) % 2)[:, None]
+        changed[target.key] = dataclasses.replace(found, rgb=rgb.astype(np.float32))
+    write_records(path, changed)
 
 
 def failure(log):
