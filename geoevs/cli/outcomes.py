@@ -138,17 +138,25 @@ def install_weights(
     write_json(out, provenance)
 
 
-def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")]) -> None:
+def failures(
+    costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")],
+    stability: Annotated[
+        Path | None, typer.Argument(help="The stability suite's scores.parquet.")
+    ] = None,
+) -> None:
     """Say in one line each which methods failed, why, and where their logs are."""
-    from geoevs.protocol.entries import FAILED
+    from geoevs.results.failures import fit_failures, stress_failures
 
-    if not costs.exists():  # the run has not come that far
-        return
-    rows = read_rows(costs)
-    for row in rows[rows["status"] == FAILED].itertuples():
+    found = []
+    # A file that is not there: the run has not come that far.
+    if costs.exists():
+        found += fit_failures(read_rows(costs))
+    if stability is not None and stability.exists():
+        found += stress_failures(read_rows(stability))
+    for failure in found:
         print(
-            f"FAILED: {row.method} ({row.variant}) could not {row.stage} {row.scene} from "
-            f"{row.sources}: {row.reason}; log: {row.log}",
+            f"FAILED: {failure.method} ({failure.variant}) could not {failure.stage} "
+            f"{failure.place}: {failure.reason}; log: {failure.log}",
             file=sys.stderr,
         )
 

@@ -15,7 +15,8 @@ import vl_convert
 
 from geoevs import layout
 from geoevs.io import read_json, whole_file
-from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.protocol.entries import MethodEntry
+from geoevs.results.failures import Failure, run_failures
 from geoevs.results.report.pictures import comparison, file_address
 from geoevs.results.report.words import summarise_run
 from geoevs.results.tables import TABLES, display_name, is_control
@@ -60,6 +61,7 @@ def make_page(run: Path) -> str:
     costs, sets = _rows(run / layout.COSTS), _rows(run / layout.SET_SCORES)
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
+    failures = run_failures(run)
     compared = compared_views(run, scores)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("geoevs.results.report", "."),
@@ -73,11 +75,11 @@ def make_page(run: Path) -> str:
         run=run.name,
         manifest=manifest,
         manifest_text=json.dumps(manifest, indent=1),
-        sentences=summarise_run(scores, costs, sets, manifest["config"]["tables"]),
+        sentences=summarise_run(scores, costs, sets, failures, manifest["config"]["tables"]),
         tables=sorted(tables, key=_table_order),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: some for folder, some in exhibits.items() if some},
-        failures=list(_failures(costs)),
+        failures=[_described(failure) for failure in failures],
         compared=compared,
         data=_script_json(compared),
         charts=_script_json(
@@ -171,15 +173,14 @@ def _table_order(exhibit: Exhibit) -> tuple[int, str]:
     return place, exhibit.name
 
 
-def _failures(costs: pd.DataFrame) -> Iterator[dict[str, str]]:
-    for row in costs[costs["status"] == FAILED].itertuples():
-        log = Path(row.log) if row.log else None
-        yield {
-            "name": display_name(row.method, row.variant),
-            "place": f"{row.dataset}/{row.scene}, from {row.sources}",
-            **{"stage": row.stage, "reason": row.reason, "log": row.log},
-            "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
-        }
+def _described(failure: Failure) -> dict[str, str]:
+    log = Path(failure.log) if failure.log else None
+    return {
+        "name": display_name(failure.method, failure.variant),
+        **{"place": failure.place, "stage": failure.stage},
+        **{"reason": failure.reason, "log": failure.log},
+        "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
+    }
 
 
 def table_html(rows: pd.DataFrame) -> jinja2.utils.markupsafe.Markup:

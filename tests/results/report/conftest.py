@@ -62,6 +62,9 @@ def reported(run, tmp_path_factory):
     scores, spent, sets = score_frame(rows), cost_frame(costs), set_frame([])
     for path, frame in ((layout.SCORES, scores), (layout.COSTS, spent), (layout.SET_SCORES, sets)):
         write_bytes(run / path, frame.to_parquet(index=False))
+    stress = {"stressor": "support", "level": 0.01, "seed": 1, **failure(log)}
+    stressed = score_frame([{**rows[0], **stress}])
+    write_bytes(run / layout.STABILITY_SCORES, stressed.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"grey": {}}}
     machine = {"processor": "a processor", "cores": 2}
     versions = {"python": "3.11"}

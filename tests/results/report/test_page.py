@@ -51,6 +51,15 @@ def test_the_summary_is_made_from_the_numbers(reported):
     assert f"each of these: {frontier}Geo-EVS (0.1 s a view, 22.50 dB)." in text
     assert "Worse than one colour (mean-colour) on extrapolated views: grey on " in text
     assert "Failed, on at least one scene: broken; see Failures." in text
+    assert "Failed, under stress: mean-colour; see Failures." in text
+
+
+def test_failures_under_stress_are_listed_with_their_log(reported):
+    _, page = reported
+    listed = page.read_text().split('<section id="failures">')[1]
+    place = "d/s, stressed by support 0.01 (draws 1)"
+    assert f"mean-colour could not fit {place}: no &lt;points&gt;" in listed
+    assert listed.count("Traceback: &lt;out of points&gt;") == 3  # two fits, one stressed
 
 
 def test_every_view_has_its_pictures_and_scores(reported):
