@@ -14,20 +14,12 @@ from geoevs.results.tables import FLOOR, bin_names, display_name, make_table, ta
 METRIC_NAMES = {"sparse_psnr": "sparse PSNR", "psnr": "PSNR over all pixels"}
 
 
-def summarise_run(
-    scores: pd.DataFrame,
-    costs: pd.DataFrame,
-    sets: pd.DataFrame,
-    failures: Sequence[Failure],
-    settings: dict[str, Any],
-) -> list[str]:
-    """Sentences about who is best, what it costs, where it breaks, and what could not be measured.
+def summarise_run(scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]) -> list[str]:
+    """Sentences about who is best, what it costs, and what it loses far from the sources.
 
     Args:
         scores: score rows.
         costs: cost rows.
-        sets: rows of distances between sets of images.
-        failures: of the run and its stability suite.
         settings: the config's `tables` section.
     """
     points = speed_accuracy("extrapolation", scores, costs, settings)
@@ -43,7 +35,20 @@ def summarise_run(
         bins = bin_names(table_spec("pose_offset"), settings)
         sentences += _decline(curves[curves["dataset"] == dataset], bins)
         sentences += _below_floor(table[table["dataset"] == dataset])
-    return [*sentences, *_failures(failures), *_unmeasured(scores, sets)]
+    return sentences
+
+
+def summarise_gaps(
+    failures: Sequence[Failure], scores: pd.DataFrame, sets: pd.DataFrame
+) -> list[str]:
+    """Sentences about what failed, and what could not be measured.
+
+    Args:
+        failures: of the run and its stability suite.
+        scores: score rows.
+        sets: rows of distances between sets of images.
+    """
+    return [*_failures(failures), *_unmeasured(scores, sets)]
 
 
 def _extent(rows: pd.DataFrame) -> str:

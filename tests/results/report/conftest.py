@@ -24,6 +24,14 @@ PLACE = {"dataset": "d", "scene": "s"}
 SETTINGS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.1]}
 SETTINGS |= {"resamples": 100, "confidence": 0.95}
 VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, "broken": math.nan}
+WORDS = """# Breaking <points>
+
+*none*: it stays [above](http://host) it ![so](http://host/a.png).
+
+| method | support |
+| --- | --- |
+| <b>3DGS</b> | 0.1 |
+"""
 
 
 @pytest.fixture(scope="session")
@@ -80,6 +88,7 @@ def reported(run, tmp_path_factory):
     )
     write_text(run / "stability/thinning.csv", pd.DataFrame({"level": [1, 2]}).to_csv(index=False))
     write_image(run / "stability/thinning.png", np.full((20, 30, 3), 200, np.uint8))
+    write_text(run / "stability/breaking_points.md", WORDS)
     page = run / layout.REPORT
     write_text(page, make_page(run))
     return run, page

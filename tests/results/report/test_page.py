@@ -1,11 +1,13 @@
 import json
 import re
+import shutil
 
 import pandas as pd
 import pytest
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
+from geoevs.io import write_text
 from geoevs.protocol.targets import read_targets
 from geoevs.results.report.page import chart_of, make_page, table_html
 from geoevs.results.report.pictures import comparison
@@ -39,6 +41,27 @@ def test_results_of_any_folder_appear(reported):
     assert 'alt="stability: thinning" src="data:image/webp;base64,' in text
     assert "thinning.csv" in text
     assert '<section id="renders">' not in text
+
+
+def test_pages_in_words_are_shown_first_and_their_text_is_data(reported):
+    _, page = reported
+    stability = page.read_text().split('<section id="stability">')[1].split("</section>")[0]
+    assert "<h3>Breaking &lt;points&gt;</h3>" in stability
+    assert "<td>&lt;b&gt;3DGS&lt;/b&gt;</td>" in stability
+    assert "<em>none</em>: it stays [above](http://host) it ![so](http://host/a.png)." in stability
+    assert "<summary>Breaking points</summary>" in stability
+    assert stability.index("Breaking points") < stability.index("thinning.csv")
+
+
+def test_the_summary_speaks_of_suites_that_were_run(reported, tmp_path):
+    run, page = reported
+    assert "see Audit" not in page.read_text()
+    copy = shutil.copytree(run, tmp_path / "run")
+    row = {"dataset": "d", "metric": "sparse_psnr", "share": 1.0, "support": 0.06, "bias": 1.0}
+    row |= {"tau": 0.9, "tau_low": 0.8, "tau_high": 1.0, "gap": 2.0, "entrants": 4}
+    write_text(copy / "audit/agreement.csv", pd.DataFrame([row]).to_csv(index=False))
+    text = make_page(copy)
+    assert text.index("in the order of dense PSNR 19 times in 20.") < text.index("see Failures.")
 
 
 def test_the_summary_is_made_from_the_numbers(reported):
