@@ -162,15 +162,27 @@ def failures(
 
 
 def why(
-    table: Annotated[str, typer.Argument(help="The table, such as extrapolation.")],
-    entrant: Annotated[str, typer.Argument(help="METHOD or METHOD.VARIANT, as in the config.")],
+    table: Annotated[str, typer.Argument(help="The table: any .csv in the run's tables folder.")],
+    entrant: Annotated[
+        str,
+        typer.Argument(
+            help="METHOD or METHOD.VARIANT, as in the config; for geometry the depth model, for "
+            "rank_agreement the ranked table."
+        ),
+    ],
     metric: Annotated[str, typer.Argument(help="The column, such as sparse_psnr.")],
     run: Annotated[str, typer.Option(help="The run's name, or its folder.")] = "default",
-    bin: Annotated[str, typer.Option(help="The row's bin, such as 5-10.")] = "",
+    bin: Annotated[
+        str,
+        typer.Option(
+            help="The row's bin, such as 5-10; for geometry STAGE/SCALE, for complexity the scene."
+        ),
+    ] = "",
     dataset: Annotated[str, typer.Option(help="The data set; left out, the first.")] = "",
 ) -> None:
     """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
-    from geoevs.results.why import Cell, explain
+    from geoevs.results.why import explain
+    from geoevs.results.why_found import Cell
 
     folder = Path(run) if "/" in run else Path("results") / run
     for line in explain(Cell(table, entrant, metric, bin, dataset), folder):
