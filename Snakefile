@@ -48,8 +48,8 @@ onstart:
 
 
 onsuccess:
-    shell(f"geoevs failures {RUN}/{layout.COSTS}")
+    shell(f"geoevs failures {RUN}/{layout.COSTS} {RUN}/{layout.STABILITY_SCORES}")
 
 
 onerror:
-    shell(f"geoevs failures {RUN}/{layout.COSTS}")
+    shell(f"geoevs failures {RUN}/{layout.COSTS} {RUN}/{layout.STABILITY_SCORES}")

@@ -51,6 +51,22 @@ def test_a_mistake_is_one_line_and_exit_code_1(geoevs, tmp_path):
     assert errors == f"error: {scene} is missing; make or copy it there\n"
 
 
+def test_failures_are_those_of_the_run_and_of_its_stability_suite(geoevs, tmp_path):
+    row = {"dataset": "d", "scene": "s", "method": "mine", "variant": "default", "stage": "fit"}
+    row |= {"status": "failed", "reason": "no points", "log": "a.log"}
+    costs, stability = tmp_path / "costs.parquet", tmp_path / "scores.parquet"
+    assert geoevs("failures", costs, stability) == (0, "", "")
+    pd.DataFrame([row | {"sources": "all-cameras"}]).to_parquet(costs)
+    stress = {"stressor": "support", "level": 0.01, "seed": 2}
+    pd.DataFrame([row | stress]).to_parquet(stability)
+    _, _, errors = geoevs("failures", costs, stability)
+    start = "FAILED: mine (default) could not fit d/s, "
+    assert errors.splitlines() == [
+        f"{start}from all-cameras: no points; log: a.log",
+        f"{start}stressed by support 0.01 (draws 2): no points; log: a.log",
+    ]
+
+
 def test_the_log_keeps_the_traceback(geoevs, tmp_path):
     log = tmp_path / "logs" / "a.log"
     _, _, errors = geoevs("--log", log, "failures", tmp_path)

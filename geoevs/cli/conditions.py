@@ -81,7 +81,7 @@ def mask_figure(
     """Draw masks of the library, and its support beside that of the extrapolation targets."""
     from geoevs.conditions.masks import read_masks
     from geoevs.io import write_bytes
-    from geoevs.results.mask_figure import mask_picture, target_support
+    from geoevs.results.mask_figure import library_picture, target_support
 
     support = target_support(run, scene_pairs(scenes))
-    write_bytes(out, mask_picture(read_masks(library), support))
+    write_bytes(out, library_picture(read_masks(library), support))

@@ -141,31 +141,51 @@ def install_weights(
     write_json(out, provenance)
 
 
-def failures(costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")]) -> None:
+def failures(
+    costs: Annotated[Path, typer.Argument(help="The run's costs.parquet.")],
+    stability: Annotated[
+        Path | None, typer.Argument(help="The stability suite's scores.parquet.")
+    ] = None,
+) -> None:
     """Say in one line each which methods failed, why, and where their logs are."""
-    from geoevs.protocol.entries import FAILED
+    from geoevs.results.failures import fit_failures, stress_failures
 
-    if not costs.exists():  # the run has not come that far
-        return
-    rows = read_rows(costs)
-    for row in rows[rows["status"] == FAILED].itertuples():
+    found = []
+    # A file that is not there: the run has not come that far.
+    if costs.exists():
+        found += fit_failures(read_rows(costs))
+    if stability is not None and stability.exists():
+        found += stress_failures(read_rows(stability))
+    for failure in found:
         print(
-            f"FAILED: {row.method} ({row.variant}) could not {row.stage} {row.scene} from "
-            f"{row.sources}: {row.reason}; log: {row.log}",
+            f"FAILED: {failure.method} ({failure.variant}) could not {failure.stage} "
+            f"{failure.place}: {failure.reason}; log: {failure.log}",
             file=sys.stderr,
         )
 
 
 def why(
-    table: Annotated[str, typer.Argument(help="The table, such as extrapolation.")],
-    entrant: Annotated[str, typer.Argument(help="METHOD or METHOD.VARIANT, as in the config.")],
+    table: Annotated[str, typer.Argument(help="The table: any .csv in the run's tables folder.")],
+    entrant: Annotated[
+        str,
+        typer.Argument(
+            help="METHOD or METHOD.VARIANT, as in the config; for geometry the depth model, for "
+            "rank_agreement the ranked table."
+        ),
+    ],
     metric: Annotated[str, typer.Argument(help="The column, such as sparse_psnr.")],
     run: Annotated[str, typer.Option(help="The run's name, or its folder.")] = "default",
-    bin: Annotated[str, typer.Option(help="The row's bin, such as 5-10.")] = "",
+    bin: Annotated[
+        str,
+        typer.Option(
+            help="The row's bin, such as 5-10; for geometry STAGE/SCALE, for complexity the scene."
+        ),
+    ] = "",
     dataset: Annotated[str, typer.Option(help="The data set; left out, the first.")] = "",
 ) -> None:
     """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
-    from geoevs.results.why import Cell, explain
+    from geoevs.results.why import explain
+    from geoevs.results.why_found import Cell
 
     folder = Path(run) if "/" in run else Path("results") / run
     for line in explain(Cell(table, entrant, metric, bin, dataset), folder):

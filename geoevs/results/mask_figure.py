@@ -43,7 +43,7 @@ def target_support(run: Path, scenes: Sequence[tuple[str, str]]) -> np.ndarray:
     return np.array(support)
 
 
-def mask_picture(
+def library_picture(
     library: MaskLibrary,
     test: np.ndarray,  # [N] support ratios
 ) -> bytes:

@@ -15,7 +15,7 @@ from geoevs.results.mask_figure import (
     ROWS,
     SUPPORTED,
     TILE_WIDTH,
-    mask_picture,
+    library_picture,
     support_shares,
     target_support,
 )
@@ -34,7 +34,7 @@ def library(hidden):
 
 
 def drawn(hidden):
-    png = mask_picture(library(hidden), np.array([0.9, 0.95]))
+    png = library_picture(library(hidden), np.array([0.9, 0.95]))
     return np.asarray(Image.open(io.BytesIO(png)))
 
 
@@ -88,4 +88,4 @@ def test_support_of_the_tests_extrapolation_targets(run):
 
 def test_the_same_bytes_every_time():
     arguments = (library([1, 2, 3]), np.array([0.9]))
-    assert mask_picture(*arguments) == mask_picture(*arguments)
+    assert library_picture(*arguments) == library_picture(*arguments)

@@ -113,13 +113,27 @@ def of_dataset(pattern, dataset):
     ]
 
 
+def suite_results(wildcards):
+    """Results of stability and audit, if they were run, or if this call runs them: report waits."""
+    suites = {
+        "stability": (layout.STABILITY_TABLE, rules.stability.input),
+        "audit": (layout.AUDIT_PAGE, rules.audit.input),
+    }
+    return [
+        file
+        for suite, (sign, files) in suites.items()
+        if suite in workflow.dag_settings.targets or Path(in_run(sign)).exists()
+        for file in files
+    ]
+
+
 def other_results(expected):
     """Hashes of results in the run besides the expected ones: a report without them is remade."""
     found = [
         file
         for folder in Path(RUN).glob("[!.]*/")
         if folder.name not in layout.DATA_FOLDERS
-        for suffix in ("csv", "png", "html")
+        for suffix in ("csv", "png", "html", "md")
         for file in sorted(folder.glob(f"*.{suffix}"))
     ]
     return {str(file): hash_path(file) for file in found if str(file) not in expected}

@@ -11,6 +11,7 @@ rule report:
         every_scene(layout.TRUTH),
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
+        suites=suite_results,
         sets=in_run(layout.SET_SCORES),
         manifest=in_run(layout.MANIFEST),
     output:
@@ -20,7 +21,12 @@ rule report:
     params:
         run=lambda wildcards, output: Path(output[0]).parent,
         others=lambda wildcards: other_results(
-            {*rules.tables.input, *rules.charts.input, in_run(layout.MASK_FIGURE)}
+            {
+                *rules.tables.input,
+                *rules.charts.input,
+                in_run(layout.MASK_FIGURE),
+                *suite_results(wildcards),
+            }
         ),
         code=code_hash("geoevs.results.report.page"),
     shell:

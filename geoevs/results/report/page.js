@@ -62,10 +62,11 @@ function pixels(number) {
 }
 
 // The absolute difference, averaged over channels, from black over red and yellow to white at 0.25.
-function errorMap(picture, answer, sparse) {
+// Transparent pixels are unknown and stay black; a black pixel may well be known.
+function errorMap(picture, answer) {
   const map = new ImageData(picture.width, picture.height);
   for (let at = 0; at < map.data.length; at += 4) {
-    const known = !sparse || answer.data[at] + answer.data[at + 1] + answer.data[at + 2] > 0;
+    const known = picture.data[at + 3] > 0 && answer.data[at + 3] > 0;
     let error = 0;
     for (let channel = 0; channel < 3; channel++) {
       error += Math.abs(picture.data[at + channel] - answer.data[at + channel]) / 3;
@@ -82,7 +83,7 @@ function errorMap(picture, answer, sparse) {
 function blend(picture, overlay) {
   const mixed = new ImageData(picture.width, picture.height);
   for (let at = 0; at < mixed.data.length; at++) {
-    mixed.data[at] = (picture.data[at] + overlay.data[at]) / 2;
+    mixed.data[at] = at % 4 === 3 ? 255 : (picture.data[at] + overlay.data[at]) / 2;
   }
   return mixed;
 }
@@ -91,7 +92,7 @@ async function drawn(view, name) {
   let picture = await pixels(view.pictures[name]);
   const answer = EVIDENCE.find((evidence) => evidence in view.pictures);
   if (form.elements.error.checked && answer) {
-    picture = errorMap(picture, await pixels(view.pictures[answer]), answer !== "truth");
+    picture = errorMap(picture, await pixels(view.pictures[answer]));
   }
   if (form.elements.overlay.checked && view.overlay !== null) {
     picture = blend(picture, await pixels(view.overlay));

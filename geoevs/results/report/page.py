@@ -15,9 +15,12 @@ import vl_convert
 
 from geoevs import layout
 from geoevs.io import read_json, whole_file
-from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.protocol.entries import MethodEntry
+from geoevs.results.failures import Failure, run_failures
 from geoevs.results.report.pictures import comparison, file_address
-from geoevs.results.report.words import summarise_run
+from geoevs.results.report.prose import markdown_html
+from geoevs.results.report.suites import summarise_suites
+from geoevs.results.report.words import summarise_gaps, summarise_run
 from geoevs.results.tables import TABLES, display_name, is_control
 
 PICTURE_BUDGET = 18_000_000
@@ -32,19 +35,21 @@ COMPARED = ("sparse_psnr", "psnr")
 
 @dataclass(frozen=True)
 class Exhibit:
-    """Something a run holds: a table, an interactive chart or a picture, or more of them.
+    """Something a run holds: words, a table, an interactive chart or a picture, or more of them.
 
     Args:
         name: what it is called, from its file.
         rows: the CSV.
         chart: the Vega-Lite chart.
         picture: the address of a picture, where there is no chart.
+        words: what a page in words says, as HTML.
     """
 
     name: str
     rows: pd.DataFrame | None = None
     chart: dict[str, Any] | None = None
     picture: str = ""
+    words: str = ""
 
 
 def make_page(run: Path) -> str:
@@ -60,6 +65,7 @@ def make_page(run: Path) -> str:
     costs, sets = _rows(run / layout.COSTS), _rows(run / layout.SET_SCORES)
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
+    failures = run_failures(run)
     compared = compared_views(run, scores)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("geoevs.results.report", "."),
@@ -73,11 +79,15 @@ def make_page(run: Path) -> str:
         run=run.name,
         manifest=manifest,
         manifest_text=json.dumps(manifest, indent=1),
-        sentences=summarise_run(scores, costs, sets, manifest["config"]["tables"]),
+        sentences=[
+            *summarise_run(scores, costs, manifest["config"]["tables"]),
+            *summarise_suites(run),
+            *summarise_gaps(failures, scores, sets),
+        ],
         tables=sorted(tables, key=_table_order),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: some for folder, some in exhibits.items() if some},
-        failures=list(_failures(costs)),
+        failures=[_described(failure) for failure in failures],
         compared=compared,
         data=_script_json(compared),
         charts=_script_json(
@@ -139,17 +149,21 @@ def _result_folders(run: Path) -> list[str]:
     return sorted(set(found) - layout.DATA_FOLDERS, key=lambda name: (name != "charts", name))
 
 
+SUFFIXES = ("csv", "png", "html", "md")
+
+
 def _exhibits(folder: Path) -> Iterator[Exhibit]:
-    """What lies in a folder of results, files of one stem together."""
-    stems = {path.stem for suffix in ("csv", "png", "html") for path in folder.glob(f"*.{suffix}")}
-    for stem in sorted(stems):
-        table, picture, page = (folder / f"{stem}.{suffix}" for suffix in ("csv", "png", "html"))
+    """What lies in a folder of results, files of one stem together, those with words first."""
+    stems = {path.stem for suffix in SUFFIXES for path in folder.glob(f"*.{suffix}")}
+    for stem in sorted(stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), stem)):
+        table, picture, page, words = (folder / f"{stem}.{suffix}" for suffix in SUFFIXES)
         chart = chart_of(page) if page.exists() else None
         yield Exhibit(
             stem,
             _csv(table) if table.exists() else None,
             chart,
             file_address(picture) if picture.exists() and chart is None else "",
+            markdown_html(words.read_text()) if words.exists() else "",
         )
 
 
@@ -171,15 +185,14 @@ def _table_order(exhibit: Exhibit) -> tuple[int, str]:
     return place, exhibit.name
 
 
-def _failures(costs: pd.DataFrame) -> Iterator[dict[str, str]]:
-    for row in costs[costs["status"] == FAILED].itertuples():
-        log = Path(row.log) if row.log else None
-        yield {
-            "name": display_name(row.method, row.variant),
-            "place": f"{row.dataset}/{row.scene}, from {row.sources}",
-            **{"stage": row.stage, "reason": row.reason, "log": row.log},
-            "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
-        }
+def _described(failure: Failure) -> dict[str, str]:
+    log = Path(failure.log) if failure.log else None
+    return {
+        "name": display_name(failure.method, failure.variant),
+        **{"place": failure.place, "stage": failure.stage},
+        **{"reason": failure.reason, "log": failure.log},
+        "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
+    }
 
 
 def table_html(rows: pd.DataFrame) -> jinja2.utils.markupsafe.Markup:

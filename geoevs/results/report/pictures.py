@@ -13,7 +13,7 @@ from PIL import Image
 from geoevs import layout
 from geoevs.io import read_image, to_uint8
 from geoevs.protocol.masks import Masks
-from geoevs.protocol.reference import References
+from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.results.figures import mask_picture, validity_picture
@@ -141,7 +141,7 @@ def _shown(
             found[TRUTH] = number(to_uint8(dense))
         if not target.recorded:
             reference = references[target.unmasked.key]
-            found[REFERENCE] = number(to_uint8(reference.image()), exact=True)
+            found[REFERENCE] = number(_with_mask(reference), exact=True)
             overlay = number(validity_picture(reference), exact=True)
         if target.masked:
             overlay = number(mask_picture(masks[target.key]), exact=True)
@@ -151,6 +151,12 @@ def _shown(
                 found[label] = number(read_image(path))
         name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
         yield {**where, **name, "overlay": overlay, "pictures": found}
+
+
+def _with_mask(reference: SparseReference) -> np.ndarray:
+    """(H, W, 4) uint8: a sparse reference, transparent where it is invalid."""
+    opaque = np.where(reference.mask(), 255, 0).astype(np.uint8)
+    return np.dstack([to_uint8(reference.image()), opaque])
 
 
 def _address(picture: np.ndarray, quality: int | None) -> str:

@@ -1,27 +1,25 @@
 """What a run says, in words made from its numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.entries import FAILED, ORACLES
+from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.charts import speed_accuracy
+from geoevs.results.failures import Failure
 from geoevs.results.tables import FLOOR, bin_names, display_name, make_table, table_spec
 
 METRIC_NAMES = {"sparse_psnr": "sparse PSNR", "psnr": "PSNR over all pixels"}
 
 
-def summarise_run(
-    scores: pd.DataFrame, costs: pd.DataFrame, sets: pd.DataFrame, settings: dict[str, Any]
-) -> list[str]:
-    """Sentences about who is best, what it costs, where it breaks, and what could not be measured.
+def summarise_run(scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]) -> list[str]:
+    """Sentences about who is best, what it costs, and what it loses far from the sources.
 
     Args:
         scores: score rows.
         costs: cost rows.
-        sets: rows of distances between sets of images.
         settings: the config's `tables` section.
     """
     points = speed_accuracy("extrapolation", scores, costs, settings)
@@ -37,7 +35,20 @@ def summarise_run(
         bins = bin_names(table_spec("pose_offset"), settings)
         sentences += _decline(curves[curves["dataset"] == dataset], bins)
         sentences += _below_floor(table[table["dataset"] == dataset])
-    return [*sentences, *_failures(costs), *_unmeasured(scores, sets)]
+    return sentences
+
+
+def summarise_gaps(
+    failures: Sequence[Failure], scores: pd.DataFrame, sets: pd.DataFrame
+) -> list[str]:
+    """Sentences about what failed, and what could not be measured.
+
+    Args:
+        failures: of the run and its stability suite.
+        scores: score rows.
+        sets: rows of distances between sets of images.
+    """
+    return [*_failures(failures), *_unmeasured(scores, sets)]
 
 
 def _extent(rows: pd.DataFrame) -> str:
@@ -115,13 +126,14 @@ def _below_floor(table: pd.DataFrame) -> Iterator[str]:
         yield f"Worse than one colour ({FLOOR}) on extrapolated views: {named}."
 
 
-def _failures(costs: pd.DataFrame) -> Iterator[str]:
-    failed = costs[costs["status"] == FAILED]
-    if failed.empty:
+def _failures(failures: Sequence[Failure]) -> Iterator[str]:
+    if not failures:
         yield "Nothing failed."
-        return
-    names = [display_name(row.method, row.variant) for row in failed.itertuples()]
-    yield f"Failed, on at least one scene: {', '.join(dict.fromkeys(names))}; see Failures."
+    for stressed, where in ((False, "on at least one scene"), (True, "under stress")):
+        some = [failure for failure in failures if failure.stressed == stressed]
+        names = dict.fromkeys(display_name(failure.method, failure.variant) for failure in some)
+        if names:
+            yield f"Failed, {where}: {', '.join(names)}; see Failures."
 
 
 def _unmeasured(scores: pd.DataFrame, sets: pd.DataFrame) -> Iterator[str]:

@@ -1,6 +1,8 @@
 """A small run that has everything a report shows: pictures, tables, charts and a failure."""
 
+import dataclasses
 import math
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -8,9 +10,11 @@ import pytest
 
 from geoevs import layout
 from geoevs.io import write_bytes, write_image, write_json, write_text
+from geoevs.protocol.records import write_records
+from geoevs.protocol.reference import References
 from geoevs.protocol.rows import COST_TYPES, SCORE_TYPES, cost_frame, score_frame
 from geoevs.protocol.set_scoring import set_frame
-from geoevs.protocol.targets import read_targets
+from geoevs.protocol.targets import read_targets, virtual_targets
 from geoevs.results.chart_pages import draw_page, page_html
 from geoevs.results.charts import speed_accuracy
 from geoevs.results.report.page import make_page
@@ -20,12 +24,22 @@ PLACE = {"dataset": "d", "scene": "s"}
 SETTINGS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.1]}
 SETTINGS |= {"resamples": 100, "confidence": 0.95}
 VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, "broken": math.nan}
+WORDS = """# Breaking <points>
+
+*none*: it stays [above](http://host) it ![so](http://host/a.png).
+
+| method | support |
+| --- | --- |
+| <b>3DGS</b> | 0.1 |
+"""
 
 
 @pytest.fixture(scope="session")
 def reported(run, tmp_path_factory):
-    """The run's folder, and its page."""
+    """The folder of a run whose references have black pixels, and its page."""
+    run = shutil.copytree(run, tmp_path_factory.mktemp("reported") / "run")
     targets = read_targets(run / layout.TARGETS.format(**PLACE))
+    blacken(run / layout.REFERENCES.format(**PLACE), targets)
     blank = {"string": "", "int64": 0, "float64": math.nan}
     usual = {name: blank[kind] for name, kind in SCORE_TYPES.items()} | PLACE
     usual |= {"variant": "default", "fingerprint": "f", "support_ratio": 0.01}
@@ -56,6 +70,9 @@ def reported(run, tmp_path_factory):
     scores, spent, sets = score_frame(rows), cost_frame(costs), set_frame([])
     for path, frame in ((layout.SCORES, scores), (layout.COSTS, spent), (layout.SET_SCORES, sets)):
         write_bytes(run / path, frame.to_parquet(index=False))
+    stress = {"stressor": "support", "level": 0.01, "seed": 1, **failure(log)}
+    stressed = score_frame([{**rows[0], **stress}])
+    write_bytes(run / layout.STABILITY_SCORES, stressed.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"grey": {}}}
     machine = {"processor": "a processor", "cores": 2}
     versions = {"python": "3.11"}
@@ -71,9 +88,21 @@ def reported(run, tmp_path_factory):
     )
     write_text(run / "stability/thinning.csv", pd.DataFrame({"level": [1, 2]}).to_csv(index=False))
     write_image(run / "stability/thinning.png", np.full((20, 30, 3), 200, np.uint8))
+    write_text(run / "stability/breaking_points.md", WORDS)
     page = run / layout.REPORT
     write_text(page, make_page(run))
     return run, page
+
+
+def blacken(path, targets):
+    """Make every other valid pixel of the references black."""
+    references = References(path)
+    changed = {}
+    for target in virtual_targets(targets):
+        found = references[target.key]
+        rgb = found.rgb * (np.arange(len(found.rgb)) % 2)[:, None]
+        changed[target.key] = dataclasses.replace(found, rgb=rgb.astype(np.float32))
+    write_records(path, changed)
 
 
 def failure(log):

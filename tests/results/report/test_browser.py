@@ -2,7 +2,12 @@
 
 import shutil
 
+import numpy as np
 import pytest
+
+from geoevs import layout
+from geoevs.protocol.reference import References
+from geoevs.protocol.targets import read_targets
 
 selenium = pytest.importorskip("selenium", reason="install selenium to test the page in a browser")
 
@@ -129,6 +134,39 @@ def test_pictures_errors_and_validity_are_drawn(page):
     wait(page, lambda: canvas(page, "second") not in (plain, errors))
     choose(page, "split", "observed")
     wait(page, lambda: not page.find_element(By.NAME, "overlay").is_enabled())
+
+
+def shown_pixels(browser, name):
+    """(H, W, 4) uint8 of a canvas."""
+    height, width, data = browser.execute_script(
+        f"const canvas = document.getElementById('{name}');"
+        "const [width, height] = [canvas.width, canvas.height];"
+        "const { data } = canvas.getContext('2d').getImageData(0, 0, width, height);"
+        "return [height, width, Array.from(data)]"
+    )
+    return np.array(data, np.uint8).reshape(height, width, 4)
+
+
+def test_black_reference_pixels_are_known_and_have_an_error(page, reported):
+    run, _ = reported
+    place = {"dataset": "d", "scene": "s"}
+    targets = read_targets(run / layout.TARGETS.format(**place))
+    target = next(target for target in targets if target.split == "extrapolation")
+    reference = References(run / layout.REFERENCES.format(**place))[target.key]
+    valid = reference.mask()
+    black = valid & (reference.image() == 0).all(axis=2)
+    assert black.any()
+    assert (valid & ~black).any()
+    choose(page, "view", target.camera.name)
+    choose(page, "left", "sparse reference")
+    choose(page, "right", "grey")
+    page.find_element(By.NAME, "error").click()
+    # Of 99 everywhere: white where the answer is black, black where there is none.
+    wait(page, lambda: (shown_pixels(page, "second")[black] == 255).all())
+    assert not shown_pixels(page, "second")[~valid][:, :3].any()
+    page.find_element(By.NAME, "error").click()
+    page.find_element(By.NAME, "overlay").click()
+    wait(page, lambda: (shown_pixels(page, "first")[..., 3] == 255).all())
 
 
 def caption(browser):

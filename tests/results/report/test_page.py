@@ -1,11 +1,13 @@
 import json
 import re
+import shutil
 
 import pandas as pd
 import pytest
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
+from geoevs.io import write_text
 from geoevs.protocol.targets import read_targets
 from geoevs.results.report.page import chart_of, make_page, table_html
 from geoevs.results.report.pictures import comparison
@@ -41,6 +43,27 @@ def test_results_of_any_folder_appear(reported):
     assert '<section id="renders">' not in text
 
 
+def test_pages_in_words_are_shown_first_and_their_text_is_data(reported):
+    _, page = reported
+    stability = page.read_text().split('<section id="stability">')[1].split("</section>")[0]
+    assert "<h3>Breaking &lt;points&gt;</h3>" in stability
+    assert "<td>&lt;b&gt;3DGS&lt;/b&gt;</td>" in stability
+    assert "<em>none</em>: it stays [above](http://host) it ![so](http://host/a.png)." in stability
+    assert "<summary>Breaking points</summary>" in stability
+    assert stability.index("Breaking points") < stability.index("thinning.csv")
+
+
+def test_the_summary_speaks_of_suites_that_were_run(reported, tmp_path):
+    run, page = reported
+    assert "see Audit" not in page.read_text()
+    copy = shutil.copytree(run, tmp_path / "run")
+    row = {"dataset": "d", "metric": "sparse_psnr", "share": 1.0, "support": 0.06, "bias": 1.0}
+    row |= {"tau": 0.9, "tau_low": 0.8, "tau_high": 1.0, "gap": 2.0, "entrants": 4}
+    write_text(copy / "audit/agreement.csv", pd.DataFrame([row]).to_csv(index=False))
+    text = make_page(copy)
+    assert text.index("in the order of dense PSNR 19 times in 20.") < text.index("see Failures.")
+
+
 def test_the_summary_is_made_from_the_numbers(reported):
     _, page = reported
     text = re.sub(r"&#3[49];", "'", page.read_text())
@@ -51,6 +74,15 @@ def test_the_summary_is_made_from_the_numbers(reported):
     assert f"each of these: {frontier}Geo-EVS (0.1 s a view, 22.50 dB)." in text
     assert "Worse than one colour (mean-colour) on extrapolated views: grey on " in text
     assert "Failed, on at least one scene: broken; see Failures." in text
+    assert "Failed, under stress: mean-colour; see Failures." in text
+
+
+def test_failures_under_stress_are_listed_with_their_log(reported):
+    _, page = reported
+    listed = page.read_text().split('<section id="failures">')[1]
+    place = "d/s, stressed by support 0.01 (draws 1)"
+    assert f"mean-colour could not fit {place}: no &lt;points&gt;" in listed
+    assert listed.count("Traceback: &lt;out of points&gt;") == 3  # two fits, one stressed
 
 
 def test_every_view_has_its_pictures_and_scores(reported):

@@ -6,7 +6,8 @@ import pytest
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
-from geoevs.results.why import Cell, explain
+from geoevs.results.why import explain
+from geoevs.results.why_found import Cell
 
 
 def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
@@ -68,7 +69,7 @@ def test_the_papers_number_and_bins(reported):
 @pytest.mark.parametrize(
     ("cell", "sentence"),
     [
-        (Cell("extrapolaton", "grey", "psnr"), "no table 'extrapolaton'; did you mean 'extra"),
+        (Cell("extrapolaton", "grey", "psnr"), "no table 'extrapolaton' here; did you mean 'extra"),
         (Cell("extrapolation", "gray", "psnr"), "no entrant 'gray' here; did you mean 'grey'"),
         (Cell("extrapolation", "grey", "pnsr"), "no metric 'pnsr' here; did you mean 'psnr'"),
         (Cell("pose_offset", "grey", "psnr"), "no bin '' here; one of: 0-15, 15-30"),

@@ -1,0 +1,90 @@
+"""What a run's audit and stability suite say, in words, where they were run."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from geoevs import layout
+from geoevs.io import whole_file
+from geoevs.results.audit_page import RANKS_WELL
+from geoevs.results.report.words import METRIC_NAMES
+from geoevs.results.tables import display_name
+
+
+def summarise_suites(run: Path) -> list[str]:
+    """Sentences about when to trust sparse PSNR, and about which method breaks first and last.
+
+    Raises:
+        GeoEvsError: a table that is there is damaged.
+    """
+    sentences = []
+    agreement = run / layout.AUDIT_TABLE.format(table="agreement")
+    if agreement.exists():
+        sentences += _trust(_csv(agreement))
+    points, curves = (
+        run / path for path in (f"{layout.BREAKING_POINTS}.csv", layout.STABILITY_TABLE)
+    )
+    if points.exists() and curves.exists():
+        sentences += _breaking(_csv(points, {"level": "str"}), _csv(curves))
+    return sentences
+
+
+def _csv(path: Path, types: Mapping[str, str] | None = None) -> pd.DataFrame:
+    with whole_file(path):
+        return pd.read_csv(path, dtype=types)
+
+
+def _trust(agreement: pd.DataFrame) -> Iterator[str]:
+    """When sparse PSNR can be trusted, by data set, at the whole reference's support."""
+    measured = agreement[(agreement["metric"] == "sparse_psnr") & agreement["tau"].notna()]
+    for dataset, rows in measured.groupby("dataset", sort=False):
+        row = rows.loc[rows["share"].idxmax()]
+        order = "in the order of dense PSNR 19 times in 20"
+        if math.isnan(row["gap"]):
+            yield f"On {dataset}, no difference in sparse PSNR in one frame is surely {order}."
+        else:
+            yield (
+                f"On {dataset}, entrants whose sparse PSNR in one frame differs by "
+                f"{row['gap']:.1f} dB or more are {order}."
+            )
+        surely = "ranks" if row["tau_low"] >= RANKS_WELL else "does not surely rank"
+        interval = f"{row['tau']:.2f} [{row['tau_low']:.2f}, {row['tau_high']:.2f}]"
+        yield (
+            f"Over all its views, sparse PSNR {surely} {row['entrants']:.0f} entrants as dense "
+            f"PSNR does (Kendall's tau {interval}), and its level is {row['bias']:+.2f} dB from "
+            "dense PSNR's; see Audit."
+        )
+
+
+def _breaking(points: pd.DataFrame, curves: pd.DataFrame) -> Iterator[str]:
+    """Who first falls below the best control, and who last, by data set and metric."""
+    held = points.assign(held=[_held(row, curves) for row in points.to_dict("records")])
+    for (dataset, metric), rows in held.groupby(["dataset", "metric"], sort=False):
+        if metric not in METRIC_NAMES:
+            continue
+        names = [display_name(row.method, row.variant) for row in rows.itertuples()]
+        shares = rows.groupby(names, sort=False)["held"].mean()
+        last, first = (shares[shares == end].index for end in (shares.max(), shares.min()))
+        sentence = (
+            f"Under stress on {dataset}, by {METRIC_NAMES[metric]}, the last to fall below the "
+            f"best control: {', '.join(last)}, after {100 * shares.max():.0f} % of the levels "
+            f"(mean of {rows['stressor'].nunique()} stressors)"
+        )
+        mine = rows[[name in last for name in names]]
+        never = mine.groupby("stressor", sort=False)["level"].agg(lambda some: set(some))
+        unbroken = [name for name, levels in never.items() if levels == {"none"}]
+        if unbroken:
+            sentence += f", and never under {', '.join(unbroken)}"
+        if len(first) < len(shares):
+            sentence += f"; the first: {', '.join(first)}, after {100 * shares.min():.0f} %"
+        yield f"{sentence}; see Stability for intervals."
+
+
+def _held(point: Mapping[str, str], curves: pd.DataFrame) -> float:
+    """The share of a curve's levels, no stress among them, that are milder than where it breaks."""
+    key = ["dataset", "method", "variant", "stressor", "metric"]
+    mine = curves[(curves[key] == [point[name] for name in key]).all(axis=1)]
+    levels = ["clean" if math.isnan(level) else f"{level:g}" for level in mine["level"]]
+    return 1.0 if point["level"] == "none" else levels.index(point["level"]) / len(levels)
