@@ -46,7 +46,7 @@ def train_geometry(
     from geoevs.training import Optimisation, finish
 
     model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
-    frames = read_depth_frames(scenes or [], depths or [])
+    frames = read_depth_frames(scenes or [], depths or [], model.config)
     count = sum(parameter.numel() for parameter in model.parameters())
     views = frames.images.shape[1]
     described = f"{len(frames)} frames of {views} views, {count / 1e6:.1f} M parameters"

@@ -126,11 +126,14 @@ class VggtDepth(NetworkDepth):
         self,
         images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Depth and confidence at the nearest size that divides into patches."""
+        """Depth and confidence at the size that the network is shown."""
         import torch
 
+        from geoevs.geometry.vggt import resize_image
+
         size = self.model.config.nearest_size(*images.shape[1:3])
-        batch = torch.from_numpy(_resize(images, size, cv2.INTER_LINEAR)).permute(0, 3, 1, 2)
+        shown = np.stack([resize_image(image.astype(np.float32), size) for image in images])
+        batch = torch.from_numpy(shown).permute(0, 3, 1, 2)
         with torch.inference_mode():
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
         return tuple(maps[0].cpu().numpy() for maps in prediction)

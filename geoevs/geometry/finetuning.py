@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -15,9 +16,10 @@ from torch import Tensor, nn
 from geoevs.adapter import Rng
 from geoevs.errors import GeoEvsError
 from geoevs.geometry.depth_loss import depth_loss
-from geoevs.geometry.vggt import DepthPrediction, Vggt
+from geoevs.geometry.vggt import DepthPrediction, Vggt, VggtConfig, resize_image
 from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
+from geoevs.scenes.camera import Camera
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
 from geoevs.training import Optimisation, fingerprint, mixed_precision, train
@@ -67,12 +69,15 @@ def train_vggt(
     return train(GeometryTask(model, frames, batch), optimisation, seed, "vggt", work, report)
 
 
-def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFrames:
+def read_depth_frames(
+    scenes: Sequence[Path], depths: Sequence[Path], config: VggtConfig
+) -> DepthFrames:
     """All frames of scenes: dense truth where `depths` has it (sky at FAR), else all LiDAR points.
 
     Args:
         scenes: scene stores.
         depths: their folders of dense truth, some of them empty; or none at all, for LiDAR alone.
+        config: of the network, which says at what size it is shown images.
 
     Raises:
         GeoEvsError: there is no scene, the scenes differ in their cameras' number or size, or
@@ -87,10 +92,18 @@ def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFr
     for folder, truth in zip(scenes, depths or [None] * len(scenes), strict=True):
         scene = Scene(folder)
         for frame in scene.frames:
-            images.append([to_uint8(scene.image(name, frame)) for name in scene.cameras])
+            cameras = [scene.camera(name, frame) for name in scene.cameras]
+            cameras = [one.resized(*config.nearest_size(one.height, one.width)) for one in cameras]
             dense = read_depths(truth, frame) if truth is not None else {}
+            points = scene.points(frame).xyz
+            images.append(
+                [
+                    resize_image(to_uint8(scene.image(one.name, frame)), (one.height, one.width))
+                    for one in cameras
+                ]
+            )
             known.append(
-                [_dense(dense[n]) if dense else _sparse(scene, n, frame) for n in scene.cameras]
+                [_dense(dense[c.name], c) if dense else _sparse(points, c) for c in cameras]
             )
     if not images:
         raise GeoEvsError("there are no frames to learn depth from; name scenes in the config")
@@ -103,13 +116,14 @@ def read_depth_frames(scenes: Sequence[Path], depths: Sequence[Path]) -> DepthFr
     return DepthFrames(np.array(images), np.array(known, np.float16))
 
 
-def _dense(depth: np.ndarray) -> np.ndarray:
+def _dense(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    size = camera.width, camera.height
+    depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
     return np.where(depth > 0, np.minimum(depth, FAR), FAR)
 
 
-def _sparse(scene: Scene, camera: str, frame: int) -> np.ndarray:
-    points = scene.points(frame).xyz
-    return zbuffer(points, scene.camera(camera, frame), visibility="footprint").depth
+def _sparse(points: np.ndarray, camera: Camera) -> np.ndarray:
+    return zbuffer(points, camera, visibility="footprint").depth
 
 
 class GeometryTask:

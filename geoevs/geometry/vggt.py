@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -50,6 +52,8 @@ class VggtConfig:
         head_features: channels in which it fuses them, a multiple of 8.
         refiner: channels of the levels of what refines its depth by LiDAR (see `DepthRefiner`);
             none has no such part, as published.
+        longest: pixels of the longer side of the images that it is trained on; larger ones are
+            shown to it at this size, which is right sooner and in a fraction of the time.
     """
 
     patch_size: int
@@ -64,11 +68,13 @@ class VggtConfig:
     dino_depth: int = 0
     dino_grid: int = 37
     refiner: tuple[int, ...] = ()
+    longest: int = 192
 
     def nearest_size(self, height: int, width: int) -> tuple[int, int]:
-        """The height and width nearest to these that divide into patches."""
-        patch = self.patch_size
-        return max(1, round(height / patch)) * patch, max(1, round(width / patch)) * patch
+        """Height and width that divide into patches, in about this ratio, up to `longest`."""
+        patch, scale = self.patch_size, min(1.0, self.longest / max(height, width))
+        rows, columns = (max(1, round(scale * side / patch)) for side in (height, width))
+        return rows * patch, columns * patch
 
 
 # At the published gain of 0.01 the loss of so few blocks rose before it fell (Adam at 1e-3).
@@ -91,7 +97,18 @@ VGGT_1B = VggtConfig(
     head_channels=(256, 512, 1024, 1024),
     head_features=256,
     dino_depth=24,
+    longest=518,
 )
+
+
+def resize_image(
+    image: np.ndarray,  # [H, W, 3] uint8 or float
+    size: tuple[int, int],
+) -> np.ndarray:
+    """(h, w, 3) the image at height and width `size`, in its own type."""
+    shrinks = size[0] < image.shape[0] or size[1] < image.shape[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR  # the former does not alias
+    return cv2.resize(image, size[::-1], interpolation=interpolation)
 
 
 class DepthPrediction(NamedTuple):

@@ -3,6 +3,7 @@
 import math
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from geoevs.scenes.tiny import HEIGHT, WIDTH
 
 
 def test_truth_supervises_where_it_is(tiny, tiny_depths, tmp_path):
-    frames = read_depth_frames([tiny.folder, tiny.folder], [tiny_depths, tmp_path])
+    frames = read_depth_frames([tiny.folder, tiny.folder], [tiny_depths, tmp_path], VGGT_NANO)
     assert frames.images.shape == (4, 3, HEIGHT, WIDTH, 3)
     for number in (0, 1):
         for place, name in enumerate(tiny.cameras):
@@ -34,8 +35,26 @@ def test_truth_supervises_where_it_is(tiny, tiny_depths, tmp_path):
 
 
 def test_without_folders_of_truth_it_is_all_lidar(tiny, tmp_path):
-    alone = read_depth_frames([tiny.folder], [])
-    np.testing.assert_array_equal(alone.depths, read_depth_frames([tiny.folder], [tmp_path]).depths)
+    alone = read_depth_frames([tiny.folder], [], VGGT_NANO)
+    empty = read_depth_frames([tiny.folder], [tmp_path], VGGT_NANO)
+    np.testing.assert_array_equal(alone.depths, empty.depths)
+
+
+def test_large_frames_are_learned_at_the_networks_own_size(tiny, tiny_depths, tmp_path):
+    half = replace(VGGT_NANO, longest=WIDTH // 2)
+    height, width = HEIGHT // 2, 32  # 36 pixels are 4.5 patches, and the even number is rounded to
+    assert half.nearest_size(HEIGHT, WIDTH) == (height, width)
+    frames = read_depth_frames([tiny.folder, tiny.folder], [tiny_depths, tmp_path], half)
+    assert frames.images.shape == (4, 3, height, width, 3)
+    assert frames.depths.shape == (4, 3, height, width)
+    mean = np.mean([tiny.image(name, 0) for name in tiny.cameras])
+    assert frames.images[0].mean() / 255 == pytest.approx(mean, abs=0.01)
+    for place, name in enumerate(tiny.cameras):
+        truth = read_depths(tiny_depths, 0)[name]
+        assert np.isin(frames.depths[0, place], truth.astype(np.float16)).all()  # none is mixed
+        camera = tiny.camera(name, 0).resized(height, width)
+        sparse = zbuffer(tiny.points(0).xyz, camera, visibility="footprint").depth
+        np.testing.assert_allclose(frames.depths[2, place], sparse, rtol=1e-3)
 
 
 def test_sky_is_far(tiny, tmp_path):
@@ -44,14 +63,15 @@ def test_sky_is_far(tiny, tmp_path):
     depths["left"][10:20] = 1e5
     for number in tiny.frames:
         write_arrays(tmp_path / f"{number:06d}.npz", depths)
-    found = read_depth_frames([tiny.folder], [tmp_path]).depths[0, tiny.cameras.index("left")]
+    frames = read_depth_frames([tiny.folder], [tmp_path], VGGT_NANO)
+    found = frames.depths[0, tiny.cameras.index("left")]
     assert np.all(found[:20] == FAR)
     assert np.all(found[20:] == 5)
 
 
 def test_truth_is_for_every_scene_or_none(tiny, tiny_depths):
     with pytest.raises(GeoEvsError, match=r"^there are 2 scenes and 1 folders of true depth; give"):
-        read_depth_frames([tiny.folder] * 2, [tiny_depths])
+        read_depth_frames([tiny.folder] * 2, [tiny_depths], VGGT_NANO)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from geoevs.geometry.finetuning import (
     GeometryTask,
     read_depth_frames,
 )
-from geoevs.geometry.vggt import DepthPrediction
+from geoevs.geometry.vggt import VGGT_NANO, DepthPrediction
 from geoevs.io import write_arrays
 from geoevs.projection import zbuffer
 from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
@@ -117,7 +117,7 @@ def test_skies_are_far_and_lidar_stands_in_for_truth(tmp_path):
     depths["left"][:10] = 0  # sky
     depths["left"][10:20] = 1e4
     write_arrays(tmp_path / "depths/000000.npz", depths)
-    found = read_depth_frames([scene.folder], [tmp_path / "depths"]).depths
+    found = read_depth_frames([scene.folder], [tmp_path / "depths"], VGGT_NANO).depths
     left = scene.cameras.index("left")
     assert (found[0, left, :20] == FAR).all()
     np.testing.assert_allclose(found[0, left, 20:], depths["left"][20:], rtol=1e-3)

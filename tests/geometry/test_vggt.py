@@ -283,6 +283,21 @@ def test_images_must_divide_into_patches():
 
 
 @pytest.mark.parametrize(
+    ("config", "size", "shown"),
+    [
+        (VGGT_NANO, (128, 192), (128, 192)),
+        (VGGT_NANO, (64, 96), (64, 96)),  # never enlarged
+        (VGGT_NANO, (512, 512), (192, 192)),
+        (VGGT_NANO, (1080, 1920), (112, 192)),
+        (VGGT_1B, (512, 512), (518, 518)),
+        (VGGT_1B, (1080, 1920), (294, 518)),
+    ],
+)
+def test_large_images_are_shown_smaller(config, size, shown):
+    assert config.nearest_size(*size) == shown
+
+
+@pytest.mark.parametrize(
     ("change", "sentence"),
     [
         ({"depth_head.norm.bias": None}, "lacks 'depth_head.norm.bias'"),
