@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.street_gaussians import losses
 from geoevs.adapter import Budget, Rng, Views, make_method
 from geoevs.adapter_check import contract_failures
 from geoevs.errors import GeoEvsError
@@ -84,3 +85,17 @@ def test_without_lidar_it_starts_elsewhere(write_room, boxes):
     assert "0 LiDAR points, too few" in report.note
     assert "1 actors" in report.note
     assert np.isfinite(method.render(room.tiny_camera("front", 0.0, room.MOUNT), 0).rgb).all()
+
+
+@pytest.mark.parametrize("guilty", ["shifts of actor car-0", "sh0 of actor car-0"])
+def test_a_broken_gradient_of_an_actor_names_it(moving, monkeypatch, guilty):
+    real = losses.street_loss
+
+    def broken(graph, photo, drawn, done):
+        (actor,) = graph.actors
+        value = actor.shifts if "shifts" in guilty else actor.gaussians.sh0
+        return real(graph, photo, drawn, done) + value.sum() * (np.nan if done >= 0.5 else 0.0)
+
+    monkeypatch.setattr(losses, "street_loss", broken)
+    with pytest.raises(GeoEvsError, match=f"gradient of {guilty} is not finite at step 10;"):
+        fit(moving)
