@@ -131,7 +131,7 @@ def train(
         last = state.step == optimisation.steps
         # The state comes last: a run killed before it repeats the picture.
         if state.step % shown == 0 or last:
-            picture = task.preview(state.averaged)
+            picture = np.nan_to_num(task.preview(state.averaged))  # of a training that diverges
             write_image(folder / f"previews/{state.step:06d}.png", picture)
         if state.step % every == 0 or last:
             state.save()
