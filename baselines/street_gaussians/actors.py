@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import pandas as pd
 import torch
 
 from baselines.gaussians.constants import NEAR_PLANE
@@ -14,7 +13,7 @@ from baselines.gaussians.nodes import FOURIER, Actor
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError
 from geoevs.projection import project_points
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import Box, moving_boxes
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import PointCloud
 
@@ -72,25 +71,32 @@ def moving_tracks(views: Views) -> list[Track]:
     Raises:
         GeoEvsError: a box has no size, or one that is not finite.
     """
-    tracks = views.tracks
-    rows = tracks[tracks["moving"].astype(bool) & tracks["frame"].isin(views.frames)]
-    return [_track(name, group) for name, group in rows.groupby("track", sort=True)]
+    found: dict[str, list[Box]] = {}
+    for box in moving_boxes(views.tracks, views.frames):
+        found.setdefault(str(box.track), []).append(box)
+    return [_track(name, found[name]) for name in sorted(found)]
 
 
-def _track(name: str, rows: pd.DataFrame) -> Track:
-    rows = rows.sort_values("frame").drop_duplicates("frame")
-    sizes = rows[["length", "width", "height"]].to_numpy(np.float64)
-    places = rows[["x", "y", "z", "yaw"]].to_numpy(np.float64)
+def _track(name: str, found: Sequence[Box]) -> Track:
+    boxes: dict[int, Box] = {}
+    for box in sorted(found, key=lambda box: box.frame):
+        boxes.setdefault(int(box.frame), box)
+    sizes = np.array([[box.length, box.width, box.height] for box in boxes.values()], np.float64)
+    places = np.array([[box.x, box.y, box.z, box.yaw] for box in boxes.values()], np.float64)
     bad = ~((sizes > 0) & np.isfinite(sizes)).all(axis=1) | ~np.isfinite(places).all(axis=1)
     if bad.any():
-        frame = rows["frame"].to_numpy()[bad][0]
         raise GeoEvsError(
-            f"the box of track '{name}' in frame {frame} has no size or no place; correct "
-            "it in the scene's tracks, or mark the track as not moving"
+            f"the box of track '{name}' in frame {list(boxes)[bad.argmax()]} has no size or no "
+            "place; correct it in the scene's tracks, or mark the track as not moving"
         )
     length, width, height = sizes.max(axis=0).tolist()
-    boxes = [box._replace(length=length, width=width, height=height) for box in Box.rows(rows)]
-    return Track(str(name), {int(box.frame): box for box in boxes})
+    return Track(
+        name,
+        {
+            frame: box._replace(length=length, width=width, height=height)
+            for frame, box in boxes.items()
+        },
+    )
 
 
 def outside_all(xyz: np.ndarray, tracks: Iterable[Track]) -> np.ndarray:

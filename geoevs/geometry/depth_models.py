@@ -88,7 +88,7 @@ class NetworkDepth(ABC):
         images = np.stack([views.image(name, frame) for name in views.cameras])
         # Depth must not blend across edges, so whatever its resolution, the nearest is taken.
         depth, confidence = (
-            _resize(maps, images.shape[1:3], cv2.INTER_NEAREST_EXACT) if maps is not None else None
+            None if maps is None else _resize(maps, images.shape[1:3])
             for maps in self.predict(images)
         )
         if views.has("lidar"):
@@ -197,14 +197,11 @@ DEPTH_MODELS: dict[str, Callable[..., DepthModel]] = {
 
 
 def _resize(
-    maps: np.ndarray,  # [V, h, w] or [V, h, w, C]
+    maps: np.ndarray,  # [V, h, w]
     size: tuple[int, int],
-    interpolation: int,
 ) -> np.ndarray:
-    """The maps at height and width `size`, as float32 of their own."""
+    """The maps at height and width `size`, by their nearest pixels, as float32 of their own."""
+    nearest = cv2.INTER_NEAREST_EXACT
     return np.stack(
-        [
-            cv2.resize(one.astype(np.float32), size[::-1], interpolation=interpolation)
-            for one in maps
-        ]
+        [cv2.resize(one.astype(np.float32), size[::-1], interpolation=nearest) for one in maps]
     )

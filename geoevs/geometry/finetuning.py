@@ -95,7 +95,7 @@ def read_depth_frames(
             cameras = [scene.camera(name, frame) for name in scene.cameras]
             cameras = [one.resized(*config.nearest_size(one.height, one.width)) for one in cameras]
             dense = read_depths(truth, frame) if truth is not None else {}
-            points = scene.points(frame).xyz
+            points = None if dense else scene.points(frame).xyz
             images.append(
                 [
                     resize_image(to_uint8(scene.image(one.name, frame)), (one.height, one.width))
