@@ -272,7 +272,7 @@ def colour_points(
         least[winners] = slope[nearer]
         chosen[winners] = number
         uv, _ = project_points(cloud.xyz[winners], camera)
-        rgb[winners] = _sample_bilinear(images[name], uv)
+        rgb[winners] = sample_bilinear(images[name], uv)
     return dataclasses.replace(cloud, rgb=rgb, camera=chosen)
 
 
@@ -325,7 +325,7 @@ def _squared_slope(points: np.ndarray, camera: Camera) -> np.ndarray:
     return (x * x + y * y) / (z * z)
 
 
-def _sample_bilinear(
+def sample_bilinear(
     image: np.ndarray,  # [H, W, 3] uint8 or float
     uv: np.ndarray,  # [N, 2] in the frame
 ) -> np.ndarray:

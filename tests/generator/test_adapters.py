@@ -45,9 +45,9 @@ def test_the_contract_is_kept(name, trained):
 
 def test_support_is_kept_exactly_where_it_is_asked_for(fitted):
     plain, kept = (fitted(name).render(VIRTUAL, 1) for name in METHODS)
-    np.testing.assert_array_equal(plain.support, kept.support)
-    assert 0.2 < kept.support.mean() < 1
-    condition = fitted()._lifted.condition(VIRTUAL, 1)
+    assert 0.2 < plain.support.mean() <= kept.support.mean() < 1  # other frames explain more
+    assert kept.support[plain.support].all()
+    condition = fitted("geo-evs-support")._lifted.condition(VIRTUAL, 1)
     np.testing.assert_array_equal(kept.rgb[kept.support], condition.image[kept.support])
     assert np.abs(plain.rgb - kept.rgb)[kept.support].max() > 0.05
     np.testing.assert_array_equal(kept.depth > 0, kept.support)

@@ -8,13 +8,18 @@ import numpy as np
 from geoevs.adapter import MethodInfo
 from geoevs.generator.geo_evs.adapter import Method as GeoEvs
 from geoevs.generator.support import keep_support
+from geoevs.geometry.blending import BlendedViews
+from geoevs.geometry.lifted import LiftedViews
 
 
 @dataclass
 class Method(GeoEvs):
-    """No more than a scene needs: a pixel that geometry explains is not generated."""
+    """No more than a scene needs: a pixel that any frame's geometry explains is not generated."""
 
-    info: ClassVar[MethodInfo] = replace(GeoEvs.info, name="Geo-EVS, support kept")
+    info: ClassVar[MethodInfo] = replace(
+        GeoEvs.info, name="Geo-EVS, support kept", needs=(*GeoEvs.info.needs, "tracks")
+    )
+    lifted: ClassVar[type[LiftedViews]] = BlendedViews
 
     def _finish(
         self, generated: np.ndarray, condition: np.ndarray, valid: np.ndarray
