@@ -168,7 +168,8 @@ def weigh(
         Indices (M,) of the points that it sees, their places uv (M, 2) in it, and weights (M,).
     """
     uv, z = project_points(points, source)
-    inside = np.flatnonzero(((uv >= 0) & (uv < (source.width, source.height))).all(axis=1))
+    u, v = uv.T
+    inside = np.flatnonzero((u >= 0) & (u < source.width) & (v >= 0) & (v < source.height))
     columns, rows = uv[inside].astype(np.int64).T
     depth = known[rows, columns]
     error = depth / z[inside] - 1
