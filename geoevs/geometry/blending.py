@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geoevs.geometry.lift import lift_view
+from geoevs.geometry.lift import lift_depth
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.projection import (
     Raster,
@@ -113,7 +113,7 @@ class BlendedViews(LiftedViews):
     def _still_depth(self, camera: Camera, frame: int) -> np.ndarray:
         """(H, W) metres: a view of the still part of a frame's cloud."""
         clouds = [
-            lift_view(self.images[frame][name], depth, self.views.camera(name, frame), camera)[0]
+            lift_depth(depth, self.views.camera(name, frame), camera)[0]
             for name, depth in self.still[frame].items()
         ]
         xyz = np.concatenate(clouds)

@@ -15,34 +15,45 @@ LIFT_SCALE = 2
 that are no disocclusions."""
 
 
+def lift_depth(
+    depth: np.ndarray,  # [H, W] metres, 0 = none
+    camera: Camera,
+    target: Camera,
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """One view's pixels as world points, LIFT_SCALE points a target's pixel each way.
+
+    Args:
+        depth: along the view's optical axis.
+        camera: its calibration.
+        target: where the points will be projected; only its focal lengths count. Rigs mix
+            lenses: PandaSet's side cameras have half the focal length of its front camera.
+
+    Returns:
+        xyz (N, 3) float32 in metres, none for pixels without depth; the flat pixels (N,) that they
+        come from in the view resized to a finer (height, width), which is the third.
+    """
+    across, down = (
+        max(1, round(LIFT_SCALE * target.K[axis, axis] / camera.K[axis, axis])) for axis in (0, 1)
+    )
+    fine = camera.resized(camera.height * down, camera.width * across)
+    # Depth must not blend across edges.
+    size = fine.width, fine.height
+    fine_depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    xyz, pixels = unproject_depth(fine_depth, fine)
+    return xyz.astype(np.float32), pixels, (fine.height, fine.width)
+
+
 def lift_view(
     image: np.ndarray,  # [H, W, 3] float
     depth: np.ndarray,  # [H, W] metres, 0 = none
     camera: Camera,
     target: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One view's pixels as world points with colours, LIFT_SCALE points a target's pixel each way.
-
-    Args:
-        image: the view's colours.
-        depth: along its optical axis.
-        camera: its calibration.
-        target: where the points will be projected; only its focal lengths count. Rigs mix
-            lenses: PandaSet's side cameras have half the focal length of its front camera.
-
-    Returns:
-        xyz (N, 3) float32 in metres and rgb (N, 3) float32; pixels without depth give none.
-    """
-    across, down = (
-        max(1, round(LIFT_SCALE * target.K[axis, axis] / camera.K[axis, axis])) for axis in (0, 1)
-    )
-    fine = camera.resized(camera.height * down, camera.width * across)
-    size = (fine.width, fine.height)
-    # Depth must not blend across edges; colours at the target's own resolution must not alias.
-    fine_depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    fine_image = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    xyz, pixels = unproject_depth(fine_depth, fine)
-    return xyz.astype(np.float32), fine_image.reshape(-1, 3)[pixels]
+    """`lift_depth`, which names the arguments, with colours: xyz (N, 3) and rgb (N, 3) float32."""
+    xyz, pixels, (height, width) = lift_depth(depth, camera, target)
+    # Colours at the target's own resolution must not alias.
+    fine_image = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+    return xyz, fine_image.reshape(-1, 3)[pixels]
 
 
 def lift_frame(
