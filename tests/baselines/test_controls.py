@@ -112,6 +112,21 @@ def test_inpainting_fills_holes_and_nothing_else(scene):
     assert (filled.rgb[~seen].sum(axis=-1) > 0).all()
 
 
+def test_all_frames_explain_more_and_better(scene, tmp_path):
+    camera = between(lateral=0.5)
+    truth = tiny_truth(camera)
+    own = fitted(scene, "reproject").render(camera, 0)
+    method = fitted(scene, "reproject", frames="all")
+    every = method.render(camera, 0)
+    assert every.support[own.support].all()
+    assert psnr(every.rgb, truth.rgb, own.support) > psnr(own.rgb, truth.rgb, own.support) + 2
+    inpaint = fitted(scene, "reproject-inpaint", frames="all")
+    filled = inpaint.render(camera, 0)
+    np.testing.assert_array_equal(filled.support, every.support)
+    inpaint.save(tmp_path)
+    np.testing.assert_array_equal(type(inpaint).load(tmp_path).render(camera, 0).rgb, filled.rgb)
+
+
 def test_masks_hide_what_was_reprojected(scene):
     camera = between(lateral=1.0)
     keep = np.ones((HEIGHT, WIDTH), bool)
@@ -162,6 +177,12 @@ def test_inpainting_leaves_an_unsupported_image_black():
 def test_unknown_inpainting_is_refused():
     with pytest.raises(GeoEvsError, match="did you mean 'telea'"):
         make_method("reproject-inpaint", {"inpaint": "tela"})
+
+
+@pytest.mark.parametrize("name", ["reproject", "reproject-inpaint"])
+def test_unknown_frames_are_refused(name):
+    with pytest.raises(GeoEvsError, match=r"^the option 'frames' is 'al'; did you mean 'all'"):
+        make_method(name, {"frames": "al"})
 
 
 def test_external_reads_the_targets_png(scene, tmp_path):

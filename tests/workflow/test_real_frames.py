@@ -16,7 +16,7 @@ def test_real_frames_run_too(workspace):
         "resolution: [96, 96]\n"
         'datasets: {pandaset: {partitions: {test: ["002@65-65"]}}}\n'
         "methods: {reproject: null, reproject-inpaint.navier-stokes: null, reference: null,"
-        " nearest-view: null, geo-evs-support: null,"
+        " reproject-inpaint.all-frames: null, nearest-view: null,"
         " three-dgs: null, street-gaussians: null, emernerf: null}\n"
         "geometry: {finetune: {steps: 2}}\n"
         "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
@@ -28,4 +28,4 @@ def test_real_frames_run_too(workspace):
     table = pd.read_csv(workspace.folder / "results/pandaset/tables/extrapolation.csv")
     means = table.set_index("method")["sparse_psnr"]
     assert means["reproject-inpaint"] > means["mean-colour"] + 3
-    assert np.isfinite(means[["geo-evs", "freevs"]]).all()
+    assert np.isfinite(means[["geo-evs", "geo-evs-support", "freevs"]]).all()

@@ -1,4 +1,4 @@
-"""The source views of the frame, lifted by LiDAR and projected into the target; holes are black."""
+"""Source views, lifted by LiDAR and projected into the target; holes are black."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,25 +7,43 @@ from typing import ClassVar, Self
 import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.geometry.blending import BlendedViews
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.lifted import LiftedViews
+from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera
+
+FRAMES = {"own": LiftedViews, "all": BlendedViews}
 
 
 @dataclass
 class Method:
-    """What geometry alone explains: the coloured cloud that conditions Geo-EVS, rasterised."""
+    """What geometry alone explains: the condition map of Geo-EVS, by LiDAR.
 
-    info: ClassVar[MethodInfo] = MethodInfo("Reprojection", paradigm="control", needs=("lidar",))
+    Args:
+        frames: `own`, the frame's cloud rasterised as the paper has it; or `all`, what all frames
+            explain together, as `geo-evs-support` has it.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "Reprojection", paradigm="control", needs=("lidar", "tracks")
+    )
+    frames: str = "own"
     _lifted: LiftedViews = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.frames not in FRAMES:
+            hint = did_you_mean(self.frames, FRAMES)
+            raise GeoEvsError(f"the option 'frames' is '{self.frames}'; {hint}")
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""
-        self._lifted = LiftedViews.make(views, LidarDepth())
+        self._lifted = FRAMES[self.frames].make(views, LidarDepth())
         return FitReport(self._lifted.pixels, note="primitives are source pixels with depth")
 
     def render(self, camera: Camera, frame: int) -> Rendering:
-        """Project the frame's cloud; `support` is where a point landed."""
+        """Project the cloud; `support` is where a point landed."""
         return self._shown(camera, frame, None)
 
     def render_masked(
@@ -42,12 +60,13 @@ class Method:
         return Rendering(image, depth, mask)
 
     def save(self, folder: Path) -> None:
-        """Write the source views and their depths."""
+        """Write the option, the source views and their depths."""
         self._lifted.save(folder)
+        write_json(folder / "reproject.json", {"frames": self.frames})
 
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
-        method = cls()
-        method._lifted = LiftedViews.load(folder)
+        method = cls(**read_json(folder / "reproject.json"))
+        method._lifted = FRAMES[method.frames].load(folder)
         return method

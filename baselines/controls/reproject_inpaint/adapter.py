@@ -34,18 +34,21 @@ class Method:
 
     Args:
         inpaint: `telea`, `navier-stokes`, `fsr-fast` or `fsr-best`.
+        frames: whose views are reprojected, `own` or `all`; see `reproject`.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "Reprojection + inpainting", paradigm="control", needs=("lidar",)
+        "Reprojection + inpainting", paradigm="control", needs=Reprojection.info.needs
     )
     inpaint: str = "telea"
-    _reprojection: Reprojection = field(init=False, default_factory=Reprojection)
+    frames: str = "own"
+    _reprojection: Reprojection = field(init=False)
 
     def __post_init__(self) -> None:
         if self.inpaint not in INPAINTINGS:
             hint = did_you_mean(self.inpaint, INPAINTINGS)
             raise GeoEvsError(f"there is no inpainting '{self.inpaint}'; {hint}")
+        self._reprojection = Reprojection(self.frames)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""
@@ -65,13 +68,13 @@ class Method:
         return self._filled(self._reprojection.render_masked(camera, frame, keep))
 
     def save(self, folder: Path) -> None:
-        """Write the reprojection and the option."""
+        """Write the reprojection and the options."""
         self._reprojection.save(folder)
-        write_json(folder / "options.json", {"inpaint": self.inpaint})
+        write_json(folder / "options.json", {"inpaint": self.inpaint, "frames": self.frames})
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Restore the reprojection and the option."""
+        """Restore the reprojection and the options."""
         method = cls(**read_json(folder / "options.json"))
         method._reprojection = Reprojection.load(folder)
         return method
