@@ -39,7 +39,7 @@ class Method:
         needs=("lidar", "training"),
         citation="Lan, Tang, He: Geo-EVS",
     )
-    lifted: ClassVar[type[LiftedViews]] = LiftedViews
+    lifting: ClassVar[type[LiftedViews]] = LiftedViews
     weights: str
     steps: int | None = None
     guidance: float | None = None
@@ -55,7 +55,7 @@ class Method:
         settings = self._load_trained()
         geometry = Path(self.weights) / "geometry.safetensors"
         model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
-        self._lifted = self.lifted.make(views, model)
+        self._lifted = self.lifting.make(views, model)
         self._seed = int(rng.numpy.integers(2**31))
         networks = self._generator.autoencoder, self._generator.denoiser
         parameters = model.parameters
@@ -122,6 +122,6 @@ class Method:
         seed = options.pop("seed")
         method = cls(str(folder / "weights"), **options)
         method._load_trained()
-        method._lifted = cls.lifted.load(folder)
+        method._lifted = cls.lifting.load(folder)
         method._seed = seed
         return method

@@ -19,7 +19,7 @@ class Method(GeoEvs):
     info: ClassVar[MethodInfo] = replace(
         GeoEvs.info, name="Geo-EVS, support kept", needs=(*GeoEvs.info.needs, "tracks")
     )
-    lifted: ClassVar[type[LiftedViews]] = BlendedViews
+    lifting: ClassVar[type[LiftedViews]] = BlendedViews
 
     def _finish(
         self, generated: np.ndarray, condition: np.ndarray, valid: np.ndarray
