@@ -80,19 +80,14 @@ def statuses(name, **options):
     [
         ("mean-colour", {}),
         ("nearest-view", {}),
+        ("reproject", {}),
+        ("reproject-inpaint", {}),
         ("reproject", {"frames": "all"}),
         ("reproject-inpaint", {"frames": "all"}),
     ],
 )
 def test_controls_pass(name, options):
     assert set(statuses(name, **options).values()) == {"passed"}
-
-
-@pytest.mark.parametrize("name", ["reproject", "reproject-inpaint"])
-def test_a_frame_alone_needs_no_tracks(name):
-    found = statuses(name)
-    assert found.pop("declared needs") == "warned"
-    assert set(found.values()) == {"passed"}
 
 
 def test_external_passes_with_images(tmp_path):

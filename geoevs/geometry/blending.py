@@ -65,23 +65,16 @@ class BlendedViews(LiftedViews):
             for frame, depths in self.depths.items()
         }
 
-    def condition(
-        self,
-        camera: Camera,
-        frame: int,
-        keep: np.ndarray | None = None,  # [H, W] bool
-    ) -> Raster:
-        """The condition map of a view by what all frames saw; outside `keep`, nothing."""
-        own = super().condition(camera, frame)
+    def _explained(self, camera: Camera, frame: int) -> Raster:
+        """What all frames saw of a view."""
+        own = super()._explained(camera, frame)
         moving = self._moving(own.depth, camera, frame)
         depth = self._surface(own.depth, moving, camera, frame)
         image, seen = self._colours(depth, moving, camera, frame)
         # At outlines a pixel may be in the cloud of a view whose own depth there is another.
         image = np.where(seen[..., None], image, own.image)
         mask = seen | own.mask
-        if keep is not None:
-            mask = mask & keep
-        return Raster(image * mask[..., None], mask, depth * mask)
+        return Raster(image, mask, depth * mask)
 
     def _moving(self, depth: np.ndarray, camera: Camera, frame: int) -> np.ndarray:
         """(H, W) bool: pixels whose point lies in a box that moves."""

@@ -46,12 +46,16 @@ class LiftedViews:
         frame: int,
         keep: np.ndarray | None = None,  # [H, W] bool
     ) -> Raster:
-        """The condition map X of a view: the frame's cloud, rasterised; outside `keep`, nothing."""
-        xyz, rgb = lift_frame(self.views, frame, self.depths[frame], camera)
-        image, mask, depth = rasterize(xyz, rgb, camera)
+        """The condition map X of a view: what explains it; outside `keep`, nothing."""
+        image, mask, depth = self._explained(camera, frame)
         if keep is None:
             return Raster(image, mask, depth)
         return Raster(image * keep[..., None], mask & keep, depth * keep)
+
+    def _explained(self, camera: Camera, frame: int) -> Raster:
+        """The frame's cloud, rasterised."""
+        xyz, rgb = lift_frame(self.views, frame, self.depths[frame], camera)
+        return rasterize(xyz, rgb, camera)
 
     def save(self, folder: Path) -> None:
         """Write the source views as a scene store, and their depths."""

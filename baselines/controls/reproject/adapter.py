@@ -1,8 +1,8 @@
 """Source views, lifted by LiDAR and projected into the target; holes are black."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -26,9 +26,7 @@ class Method:
             explain together, as `geo-evs-support` has it.
     """
 
-    info: ClassVar[MethodInfo] = MethodInfo(
-        "Reprojection", paradigm="control", needs=("lidar", "tracks")
-    )
+    info = MethodInfo("Reprojection", paradigm="control", needs=("lidar",))  # `all`: tracks too
     frames: str = "own"
     _lifted: LiftedViews = field(init=False)
 
@@ -36,6 +34,8 @@ class Method:
         if self.frames not in FRAMES:
             hint = did_you_mean(self.frames, FRAMES)
             raise GeoEvsError(f"the option 'frames' is '{self.frames}'; {hint}")
+        if self.frames == "all":
+            self.info = replace(self.info, needs=(*self.info.needs, "tracks"))
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""

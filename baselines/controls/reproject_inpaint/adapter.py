@@ -7,13 +7,13 @@ a fiftieth of the time, 7 ms against 360 ms a view; see benchmarks/README.md.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Self
 
 import cv2
 import numpy as np
 
 from baselines.controls.reproject.adapter import Method as Reprojection
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.adapter import Budget, FitReport, Rendering, Rng, Views
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_json, to_uint8, write_json
 from geoevs.scenes.camera import Camera
@@ -37,9 +37,7 @@ class Method:
         frames: whose views are reprojected, `own` or `all`; see `reproject`.
     """
 
-    info: ClassVar[MethodInfo] = MethodInfo(
-        "Reprojection + inpainting", paradigm="control", needs=Reprojection.info.needs
-    )
+    info = replace(Reprojection.info, name="Reprojection + inpainting")
     inpaint: str = "telea"
     frames: str = "own"
     _reprojection: Reprojection = field(init=False)
@@ -49,6 +47,7 @@ class Method:
             hint = did_you_mean(self.inpaint, INPAINTINGS)
             raise GeoEvsError(f"there is no inpainting '{self.inpaint}'; {hint}")
         self._reprojection = Reprojection(self.frames)
+        self.info = replace(self.info, needs=self._reprojection.info.needs)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Complete the depth of every source view."""
@@ -68,15 +67,16 @@ class Method:
         return self._filled(self._reprojection.render_masked(camera, frame, keep))
 
     def save(self, folder: Path) -> None:
-        """Write the reprojection and the options."""
+        """Write the reprojection and the option."""
         self._reprojection.save(folder)
-        write_json(folder / "options.json", {"inpaint": self.inpaint, "frames": self.frames})
+        write_json(folder / "options.json", {"inpaint": self.inpaint})
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Restore the reprojection and the options."""
-        method = cls(**read_json(folder / "options.json"))
-        method._reprojection = Reprojection.load(folder)
+        """Restore the reprojection and the option."""
+        reprojection = Reprojection.load(folder)
+        method = cls(**read_json(folder / "options.json"), frames=reprojection.frames)
+        method._reprojection = reprojection
         return method
 
     def _filled(self, seen: Rendering) -> Rendering:
