@@ -25,13 +25,13 @@ from geoevs.adapter import Adapter, Budget, Rendering, Rng, Views, make_method, 
 from geoevs.config import method_entries
 from geoevs.errors import did_you_mean
 from geoevs.geometry.depth_metrics import depth_metrics
+from geoevs.geometry.moving import moving_pixels
 from geoevs.io import to_float
-from geoevs.projection import colour_points, unproject_depth
+from geoevs.projection import colour_points
 from geoevs.protocol.clock import synchronise
 from geoevs.protocol.depth_scoring import FARTHEST
 from geoevs.protocol.entries import ORACLES, MethodEntry
 from geoevs.protocol.targets import make_targets
-from geoevs.scenes.boxes import moving_boxes
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, SceneRef, load_source
 from geoevs.scenes.store import Scene, write_scene
@@ -120,16 +120,10 @@ def render_street(name: str, config: dict[str, Any], folder: Path) -> Street:
     return Street(name, scene, depths, extrapolated)
 
 
-def moving_pixels(street: Street, name: str, frame: int) -> np.ndarray:
-    """(H, W) bool: pixels whose true point lies in a moving box."""
-    depth = street.depths[frame][name]
-    points, pixels = unproject_depth(depth, street.scene.camera(name, frame))
-    inside = np.zeros(len(points), bool)
-    for box in moving_boxes(street.scene.tracks, (frame,)):
-        inside |= box.holds(points)
-    moving = np.zeros(depth.size, bool)
-    moving[pixels[inside]] = True
-    return moving.reshape(depth.shape)
+def moving_of(street: Street, name: str, frame: int) -> np.ndarray:
+    """(H, W) bool: pixels of a recorded view whose true point lies in a moving box."""
+    camera = street.scene.camera(name, frame)
+    return moving_pixels(street.depths[frame][name], camera, frame, street.scene.tracks)
 
 
 def measure(entry: MethodEntry, street: Street) -> Measured:
@@ -155,7 +149,7 @@ def measure(entry: MethodEntry, street: Street) -> Measured:
         camera = replace(scene.camera(name, HELD_OUT), name=UNNAMED)
         seen, error = errors(camera, HELD_OUT, scene.image(name, HELD_OUT))
         whole.append(psnr(error))
-        still.append(psnr(error[~moving_pixels(street, name, HELD_OUT)]))
+        still.append(psnr(error[~moving_of(street, name, HELD_OUT)]))
         if seen.depth is not None:
             depths.append(np.where(seen.depth > 0, seen.depth, FARTHEST))  # none is far
     extrapolated = [psnr(errors(*view)[1]) for view in street.extrapolated]
@@ -174,7 +168,7 @@ def motion_iou(method: Adapter, street: Street) -> float:
         return float("nan")
     both = either = 0
     for name in street.scene.cameras:
-        moving = moving_pixels(street, name, FITTED)
+        moving = moving_of(street, name, FITTED)
         emerged = method.motion(street.scene.camera(name, FITTED), FITTED)[0] > 0.5
         both, either = both + (moving & emerged).sum(), either + (moving | emerged).sum()
     return float(both / max(either, 1))

@@ -15,6 +15,7 @@ import numpy as np
 
 from geoevs.geometry.lift import lift_depth
 from geoevs.geometry.lifted import LiftedViews
+from geoevs.geometry.moving import moving_pixels
 from geoevs.projection import (
     Raster,
     project_points,
@@ -22,7 +23,6 @@ from geoevs.projection import (
     sample_bilinear,
     unproject_depth,
 )
-from geoevs.scenes.boxes import moving_boxes
 from geoevs.scenes.camera import Camera
 
 NEIGHBOURS = 1
@@ -77,13 +77,8 @@ class BlendedViews(LiftedViews):
         return Raster(image, mask, depth * mask)
 
     def _moving(self, depth: np.ndarray, camera: Camera, frame: int) -> np.ndarray:
-        """(H, W) bool: pixels whose point lies in a box that moves."""
-        points, pixels = unproject_depth(depth, camera)
-        moving = np.zeros(depth.size, bool)
-        for box in moving_boxes(self.views.tracks, (frame,)):
-            size = {side: MARGIN * getattr(box, side) for side in ("length", "width", "height")}
-            moving[pixels] |= box._replace(**size).holds(points)
-        return moving.reshape(depth.shape)
+        """(H, W) bool: pixels whose point lies in or near a box that moves."""
+        return moving_pixels(depth, camera, frame, self.views.tracks, MARGIN)
 
     def _surface(
         self,
