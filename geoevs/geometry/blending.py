@@ -90,12 +90,14 @@ class BlendedViews(LiftedViews):
         """(H, W) metres: the frame's own depth, set right and its holes filled by neighbours.
 
         Where all clouds have a point, it is the median; in holes it is the neighbours' nearest.
+        A drive's first and last frame have one neighbour, and two depths have no median: their mean
+        lies between a pole and the wall behind it, so that the frame's own stays.
         """
         near = [n for n in self.views.frames if 0 < abs(n - frame) <= NEIGHBOURS]
         depths = np.stack([own, *(self._still_depth(camera, number) for number in near)])
         nearest = np.where(depths > 0, depths, np.inf).min(axis=0)
         filled = np.where(own > 0, own, np.where(np.isfinite(nearest), nearest, 0.0))
-        agreed = (depths > 0).all(axis=0) & ~moving
+        agreed = (depths > 0).all(axis=0) & ~moving & (len(depths) > 2)
         return np.where(agreed, np.median(depths, axis=0), filled)
 
     def _still_depth(self, camera: Camera, frame: int) -> np.ndarray:

@@ -146,6 +146,14 @@ def test_the_surface_is_the_median_or_the_frames_own_or_the_nearest(monkeypatch)
     np.testing.assert_array_equal(surface, [[5.0, 4.0, 4.0, 6.0, 8.0, 0.0]])
 
 
+def test_one_neighbour_fills_holes_and_moves_no_surface(monkeypatch):
+    lifted = BlendedViews(SimpleNamespace(frames=(0, 1)), {})
+    other = np.array([[9.0, 0.0, 7.0]])
+    monkeypatch.setattr(BlendedViews, "_still_depth", lambda self, camera, frame: other)
+    surface = lifted._surface(np.array([[4.0, 4.0, 0.0]]), np.zeros((1, 3), bool), TARGET, 0)
+    np.testing.assert_array_equal(surface, [[4.0, 4.0, 7.0]])
+
+
 def test_outside_what_is_kept_nothing_is_known(make):
     lifted = make()
     whole = lifted.condition(TARGET, 0)
