@@ -19,9 +19,24 @@ def pytest_xdist_setupnodes():
     os.environ |= dict.fromkeys(THREAD_VARIABLES, "1")
 
 
+def pytest_configure(config):
+    """Hide GPUs from all tests but theirs: the same bytes are promised on the CPU alone."""
+    if config.option.markexpr != "cuda":
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
+
 def pytest_collection_modifyitems(items):
     """The smoke run's tests take longest: where two processes share the files, one begins there."""
     items.sort(key=lambda item: item.path.name != "test_smoke.py")
+
+
+def pytest_runtest_setup(item):
+    """Skip what needs a GPU where none is, or where it is hidden."""
+    if item.get_closest_marker("cuda"):
+        import torch
+
+        if not torch.cuda.is_available():
+            pytest.skip("tests on a GPU run by themselves, with `pytest -m cuda`, where one is")
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from baselines.emernerf.hash_grid_kernels import (
     table_gradient,
 )
 from baselines.emernerf.hash_grid_reference import hash_encode_reference
+from baselines.emernerf.tcnn_backend import encode_tcnn, tcnn_installed
 
 SPREAD = 1e-4  # of the first values, as Instant NGP has them
 
@@ -24,8 +25,9 @@ SPREAD = 1e-4  # of the first values, as Instant NGP has them
 class HashGrid(nn.Module):
     """Instant NGP's encoding: levels of cells that grow geometrically finer.
 
-    A level whose vertices exceed its share of entries is hashed, others are dense. On the CPU numba
-    kernels encode float32 positions; elsewhere torch ops do the same.
+    A level whose vertices exceed its share of entries is hashed, others are dense. Numba kernels
+    encode float32 positions on the CPU, and tiny-cuda-nn on CUDA where it is installed; elsewhere
+    torch ops do the same.
 
     Args:
         dims: of the positions, up to 4.
@@ -62,10 +64,12 @@ class HashGrid(nn.Module):
         positions: Tensor,  # [N, D] in [0, 1]
     ) -> Tensor:
         """(N, out_features) in the table's type."""
-        if positions.device.type == "cpu" and positions.dtype == torch.float32:
+        single = positions.dtype == torch.float32
+        if single and positions.device.type == "cpu":
             return _HashEncode.apply(positions, self.table, self.cells, self.offsets)
-        cells, offsets = self.cells.tolist(), self.offsets.tolist()
-        return hash_encode_reference(positions, self.table, cells, offsets)
+        tcnn = single and positions.is_cuda and tcnn_installed()
+        encoded = encode_tcnn if tcnn else hash_encode_reference
+        return encoded(positions, self.table, self.cells.tolist(), self.offsets.tolist())
 
 
 class _HashEncode(torch.autograd.Function):

@@ -1,13 +1,19 @@
 """The hash grid's kernels against their float64 twin, and both against values by hand."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.emernerf import tcnn_backend
 from baselines.emernerf.hash_grid import HashGrid
+from baselines.emernerf.hash_grid_kernels import PRIMES, WIDTH
 from baselines.emernerf.hash_grid_reference import hash_encode_reference
+from baselines.emernerf.tcnn_backend import encode_tcnn
 
 
 def make_grid(dims=3, levels=3, coarsest=2, finest=40, log2_entries=8, seed=0):
@@ -97,3 +103,55 @@ def test_the_bytes_do_not_depend_on_the_number_of_threads():
         torch.set_num_threads(before)
     for one, three in zip(*results, strict=True):
         assert torch.equal(one, three)
+
+
+class TcnnLevel(torch.nn.Module):
+    """A grid of one level as tiny-cuda-nn has it (its `kernel_grid` and `grid_index`)."""
+
+    def __init__(self, dims, settings, dtype):
+        super().__init__()
+        assert (settings["otype"], settings["type"], settings["n_levels"]) == ("Grid", "Hash", 1)
+        assert settings["interpolation"] == "Linear"
+        self.scale = settings["base_resolution"] - 1
+        self.dense = settings["base_resolution"] ** dims
+        self.strides = [settings["base_resolution"] ** d for d in range(dims)]
+        self.entries = min(-(-self.dense // 8) * 8, 1 << settings["log2_hashmap_size"])
+        width = settings["n_features_per_level"]
+        self.params = torch.nn.Parameter(torch.full((self.entries * width,), torch.nan))
+
+    def forward(self, positions):
+        place = positions * self.scale + 0.5
+        low = place.detach().floor()
+        share, low = place - low, low.long()
+        rows = self.params.view(self.entries, WIDTH)
+        total = 0
+        for corner in range(1 << positions.shape[1]):
+            beyond = [corner >> d & 1 for d in range(positions.shape[1])]
+            weight, summed, hashed = 1, 0, 0
+            for d, (more, stride) in enumerate(zip(beyond, self.strides, strict=True)):
+                weight = weight * (share[:, d] if more else 1 - share[:, d])
+                vertex = (low[:, d] + more) % 2**32
+                summed = summed + vertex * stride
+                hashed = hashed ^ vertex * PRIMES[d] % 2**32
+            index = hashed if self.entries < self.dense else summed % 2**32
+            total = total + weight[:, None] * rows[index % self.entries]
+        return total
+
+
+@pytest.mark.parametrize("dims", [3, 4])
+def test_tiny_cuda_nn_reads_our_table_as_we_do(dims, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tinycudann", SimpleNamespace(Encoding=TcnnLevel))
+    monkeypatch.setattr(tcnn_backend, "_level", tcnn_backend._level.__wrapped__)  # not cached
+    grid = make_grid(dims, levels=4, coarsest=2, finest=30, log2_entries=8)
+    positions = torch.rand(300, dims, generator=torch.Generator().manual_seed(5))
+    positions[:8] = positions[:8].round()  # corners of the cube
+    slopes = torch.randn(300, grid.out_features, generator=torch.Generator().manual_seed(6))
+    found = []
+    for encode in (encode_tcnn, hash_encode_reference):
+        places = positions.clone().requires_grad_()
+        table = grid.table.detach().clone().requires_grad_()
+        features = encode(places, table, grid.cells.tolist(), grid.offsets.tolist())
+        features.backward(slopes)
+        found.append((features.detach(), table.grad, places.grad[8:]))  # kinks lie in the corners
+    for ours, twin in zip(*found, strict=True):
+        torch.testing.assert_close(ours, twin, rtol=1e-3, atol=1e-3)
