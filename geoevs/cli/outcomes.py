@@ -93,12 +93,14 @@ def chart(
     write_page(out, page)
 
 
-def report(run: Run, out: Out) -> None:
+def report(
+    run: Run, out: Out, threads: Annotated[int, typer.Option(min=1, help="At most so many.")] = 1
+) -> None:
     """Put a run's tables, charts, pictures and failures on one page that needs no network."""
     from geoevs.io import write_text
     from geoevs.results.report.page import make_page
 
-    write_text(out, make_page(run))
+    write_text(out, make_page(run, threads))
 
 
 def manifest(

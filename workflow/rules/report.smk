@@ -29,5 +29,6 @@ rule report:
             }
         ),
         code=code_hash("geoevs.results.report.page"),
+    threads: workflow.cores
     shell:
-        "geoevs --log {log:q} report --run {params.run:q} --out {output:q}"
+        "geoevs --log {log:q} report --run {params.run:q} --threads {threads} --out {output:q}"

@@ -52,8 +52,12 @@ class Exhibit:
     words: str = ""
 
 
-def make_page(run: Path) -> str:
+def make_page(run: Path, threads: int = 1) -> str:
     """The report of a run, from its rows and from whatever tables and charts it holds.
+
+    Args:
+        run: the run's folder.
+        threads: that compress its pictures.
 
     Raises:
         GeoEvsError: rows or the manifest are missing.
@@ -66,7 +70,7 @@ def make_page(run: Path) -> str:
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
     failures = run_failures(run)
-    compared = compared_views(run, scores)
+    compared = compared_views(run, scores, threads)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("geoevs.results.report", "."),
         autoescape=True,
@@ -125,12 +129,12 @@ def _script_json(value: Any) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
 
 
-def compared_views(run: Path, scores: pd.DataFrame) -> dict[str, Any]:
+def compared_views(run: Path, scores: pd.DataFrame, threads: int) -> dict[str, Any]:
     """What the comparison of pictures needs: see `comparison`; and each view's own scores."""
     scenes = list(scores[["dataset", "scene"]].drop_duplicates().itertuples(index=False, name=None))
     entries = scores[["method", "variant", "seed"]].drop_duplicates()
     labels = [MethodEntry(m, v, {}, int(s)).label for m, v, s in entries.itertuples(index=False)]
-    views = comparison(run, scenes, labels, PICTURE_BUDGET)
+    views = comparison(run, scenes, labels, PICTURE_BUDGET, threads)
     rows = scores[scores["metric"].isin(COMPARED) & (scores["stressor"] == "")]
     measured: dict[tuple, dict[str, dict[str, float]]] = {}
     for row in rows[rows["value"].map(math.isfinite)].itertuples():

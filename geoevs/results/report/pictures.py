@@ -3,7 +3,9 @@
 import base64
 import io
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ WIDEST = 384
 QUALITIES = (80, 60, 40)
 """Of WebP; the first that the budget allows is taken."""
 
-TRUTH, REFERENCE = "truth", "sparse reference"
+TRUTH, REFERENCE, OVERLAY = "truth", "sparse reference", "overlay"
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,11 @@ class View:
 
 
 def comparison(
-    run: Path, scenes: Sequence[tuple[str, str]], labels: Sequence[str], budget: int
+    run: Path,
+    scenes: Sequence[tuple[str, str]],
+    labels: Sequence[str],
+    budget: int,
+    threads: int = 1,
 ) -> dict[str, Any]:
     """Every target's truth, evidence and renders as `data:` addresses.
 
@@ -60,6 +66,7 @@ def comparison(
         scenes: (dataset, scene) pairs.
         labels: the entrants.
         budget: bytes that the addresses may take together, about.
+        threads: that compress the pictures.
 
     Returns:
         `images`, a list of addresses; `views`, one dictionary a target, with its names and the
@@ -71,10 +78,13 @@ def comparison(
         for dataset, scene in scenes
         for target in read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
     ]
-    quality, share = _fit(views, labels, budget)
-    kept = _thinned(views, share)
     images: dict[str, int] = {}
-    shown = [view for scene in scenes for view in _shown(kept, scene, labels, quality, images)]
+    with ThreadPoolExecutor(threads) as pool:
+        quality, share = _fit(views, labels, budget, pool)
+        kept = _thinned(views, share)
+        shown = [
+            view for scene in scenes for view in _shown(kept, scene, labels, quality, images, pool)
+        ]
     frames, all_frames = (
         len({(view.dataset, view.scene, view.target.frame) for view in some})
         for some in (kept, views)
@@ -96,14 +106,16 @@ def _thinned(views: list[View], share: float) -> list[View]:
     return [view for view in views if view.target.frame in kept[(view.dataset, view.scene)]]
 
 
-def _fit(views: list[View], labels: Sequence[str], budget: int) -> tuple[int, float]:
+def _fit(
+    views: list[View], labels: Sequence[str], budget: int, pool: Executor
+) -> tuple[int, float]:
     """The best quality, and the largest share of frames, that a sample says will fit."""
     files = [path for view in views for label in labels if (path := view.render(label)).exists()]
     sample = files[:: max(1, len(files) // 48)]
-    pictures = [read_image(path) for path in sample]
     needed = 0.0
     for quality in QUALITIES:
-        mean = np.mean([len(_address(p, quality)) for p in pictures]) if pictures else 0.0
+        lengths = [len(address) for address in pool.map(_address, sample, repeat(quality))]
+        mean = np.mean(lengths) if lengths else 0.0
         # Truth, evidence and overlay come to about two more pictures a view.
         needed = float(mean) * (len(files) + 2 * len(views))
         if needed <= budget:
@@ -117,6 +129,7 @@ def _shown(
     labels: Sequence[str],
     quality: int,
     images: dict[str, int],
+    pool: Executor,
 ) -> Iterator[dict[str, Any]]:
     """One scene's views, their pictures added to the images."""
     where = dict(zip(("dataset", "scene"), scene, strict=True))
@@ -128,29 +141,30 @@ def _shown(
     references = References(run / layout.REFERENCES.format(**where))
     masks = Masks(run / layout.MASKS.format(**where))
     truth = run / layout.TRUTH.format(**where)
-
-    def number(picture: np.ndarray, exact: bool = False) -> int:
-        return images.setdefault(_address(picture, None if exact else quality), len(images))
-
     for view in mine:
         target = view.target
-        found: dict[str, int] = {}
-        overlay = None
+        pictures: dict[str, tuple[np.ndarray | Path, int | None]] = {}
         dense = dense_truth(store, truth, target)
         if dense is not None:
-            found[TRUTH] = number(to_uint8(dense))
+            pictures[TRUTH] = to_uint8(dense), quality
         if not target.recorded:
             reference = references[target.unmasked.key]
-            found[REFERENCE] = number(_with_mask(reference), exact=True)
-            overlay = number(validity_picture(reference), exact=True)
+            pictures[REFERENCE] = _with_mask(reference), None
+            pictures[OVERLAY] = validity_picture(reference), None
         if target.masked:
-            overlay = number(mask_picture(masks[target.key]), exact=True)
+            pictures[OVERLAY] = mask_picture(masks[target.key]), None
         for label in labels:
             path = view.render(label)
             if path.exists():
-                found[label] = number(read_image(path))
+                pictures[label] = path, quality
+        addresses = pool.map(_address, *zip(*pictures.values(), strict=True))
+        numbers = {
+            name: images.setdefault(address, len(images))
+            for name, address in zip(pictures, addresses, strict=True)
+        }
+        overlay = numbers.pop(OVERLAY, None)
         name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
-        yield {**where, **name, "overlay": overlay, "pictures": found}
+        yield {**where, **name, "overlay": overlay, "pictures": numbers}
 
 
 def _with_mask(reference: SparseReference) -> np.ndarray:
@@ -159,9 +173,9 @@ def _with_mask(reference: SparseReference) -> np.ndarray:
     return np.dstack([to_uint8(reference.image()), opaque])
 
 
-def _address(picture: np.ndarray, quality: int | None) -> str:
+def _address(picture: np.ndarray | Path, quality: int | None) -> str:
     """A picture as the address of a WebP; without a quality it is exact, pixel by pixel."""
-    image = Image.fromarray(picture)
+    image = Image.fromarray(read_image(picture) if isinstance(picture, Path) else picture)
     if image.width > WIDEST:
         how = Image.Resampling.NEAREST if quality is None else Image.Resampling.BOX
         image = image.resize((WIDEST, round(WIDEST * image.height / image.width)), how)
