@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from baselines.gaussians.nodes import SceneGraph
     from baselines.gaussians.training import OwnLoss, Photo
 
+    Prepared = tuple[SceneGraph, dict[str, float], OwnLoss, list[str]]
+    """Nodes, their extents, a method's own loss, notes."""
+
 # torch is imported where a scene is made: configs are checked without one.
 
 STEPS_A_PHOTOGRAPH = 62
@@ -56,24 +59,25 @@ class GaussianMethod:
         views: Views,
         budget: Budget,
         rng: Rng,
-        prepare: "Callable[[list[Photo]], tuple[SceneGraph, dict[str, float], OwnLoss, list[str]]]",
+        prepare: "Callable[[list[Photo], int], Prepared]",
     ) -> FitReport:
-        """Train what `prepare` makes of the photographs: nodes, their extents, a loss, notes."""
+        """Train what `prepare` makes of the photographs and of the most Gaussians to start from."""
         until = time.monotonic() + (float("inf") if budget.seconds is None else budget.seconds)
         from baselines.gaussians.gsplat_backend import usable_device
-        from baselines.gaussians.size import HELD_OUT, MOST, STARTING, SizeChoice
+        from baselines.gaussians.size import HELD_OUT, MOST, UNCHOSEN, SizeChoice
         from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
 
         photos = photos_of(views, usable_device())
         iterations = self.iterations or STEPS_A_PHOTOGRAPH * len(photos)
-        self._graph, extents, own_loss, notes = prepare(photos)
+        enough = len(photos) >= HELD_OUT
+        cap = self.gaussians or (MOST if enough else UNCHOSEN)
+        self._graph, extents, own_loss, notes = prepare(photos, cap)
         choice = None
         if self.gaussians is None:
-            if len(photos) >= HELD_OUT:
+            if enough:
                 choice = SizeChoice(iterations)
             else:
                 notes.append(f"{len(photos)} views are too few to choose a size by")
-        cap = self.gaussians or (MOST if choice else STARTING)
         strategy = make_strategy(self.densification, cap, iterations)
         trainer = Trainer(self._graph, iterations, extents, strategy, own_loss, rng.torch)
         title = f"{self.info.name} of {views.scene_name}"

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 PRICE = 1e-5
 """Decibels a Gaussian: a thousand must gain 0.01 dB on views that were held out."""
 
-STARTING, MOST = 8_000, 32_000
-"""Gaussians that a training starts from at most (and ends with, if nothing can be held out), and
-grows to."""
+MOST, UNCHOSEN = 32_000, 8_000
+"""Gaussians that a training starts from at most and grows to; and if nothing can be held out."""
 
 HELD_OUT = 8
 """One in so many photographs is held out."""

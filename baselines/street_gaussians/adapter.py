@@ -21,16 +21,14 @@ class Method(GaussianMethod):
         from baselines.gaussians.initialisation import scene_extent, starting_points
         from baselines.gaussians.model import gaussians_from_points
         from baselines.gaussians.nodes import Background, SceneGraph
-        from baselines.gaussians.size import STARTING
         from baselines.street_gaussians.actors import make_actors, moving_tracks, outside_all
         from baselines.street_gaussians.losses import new_sky, street_loss, with_evidence
 
-        def prepare(photos):
+        def prepare(photos, most):
             device = photos[0].image.device
             tracks = moving_tracks(views)
             clouds = {frame: views.lidar(frame) for frame in views.frames}
             photos[:] = [with_evidence(photo, clouds[photo.frame], tracks) for photo in photos]
-            most = self.gaussians or STARTING
             points = starting_points(views, most, rng.numpy, "lidar", self.sfm_cache)
             keep = outside_all(points.xyz, tracks)
             background = gaussians_from_points(points.xyz[keep], points.rgb[keep], sh_degree=1)

@@ -28,10 +28,8 @@ class Method(GaussianMethod):
         )
         from baselines.gaussians.model import gaussians_from_points
         from baselines.gaussians.nodes import Background, SceneGraph
-        from baselines.gaussians.size import STARTING
 
-        def prepare(photos):
-            most = self.gaussians or STARTING
+        def prepare(photos, most):
             far = most // FAR_SHARE
             points = starting_points(views, most - far, rng.numpy, cache=self.sfm_cache)
             points = with_far_points(points, far, views, rng.numpy)

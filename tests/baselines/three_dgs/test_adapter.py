@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from baselines.gaussians import size
 from geoevs.adapter import Budget, Rng, Views, make_method
 from geoevs.adapter_check import contract_failures
 from geoevs.errors import GeoEvsError
@@ -44,6 +45,14 @@ def test_two_images_are_enough_but_choose_no_size(scene):
     method, report = fit(scene, cameras=("front",))
     assert "2 views are too few to choose a size by" in report.note
     assert np.isfinite(method.render(scene.camera("left", 0), 0).rgb).all()
+
+
+def test_a_size_is_chosen_from_as_many_points_as_the_largest(scene, monkeypatch):
+    monkeypatch.setattr(size, "HELD_OUT", 2)
+    monkeypatch.setattr(size, "MOST", 400)
+    _, report = fit(scene, seconds=0.0)
+    assert report.note.startswith("starts from 300 of")
+    assert "too few to choose" not in report.note
 
 
 def test_a_spent_budget_still_leaves_a_scene(scene):
