@@ -18,6 +18,7 @@ rule report:
         in_run(layout.REPORT),
     log:
         in_run("logs/report.log"),
+    threads: workflow.cores
     params:
         run=lambda wildcards, output: Path(output[0]).parent,
         others=lambda wildcards: other_results(
@@ -29,6 +30,5 @@ rule report:
             }
         ),
         code=code_hash("geoevs.results.report.page"),
-    threads: workflow.cores
     shell:
         "geoevs --log {log:q} report --run {params.run:q} --threads {threads} --out {output:q}"
