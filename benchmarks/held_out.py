@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import torch
 import yaml
 from rich.console import Console
@@ -163,7 +164,10 @@ def measure(entry: MethodEntry, street: Street) -> Measured:
 
 
 def motion_iou(method: Adapter, street: Street) -> float:
-    """IoU of what emerged as moving with the boxes that move; NaN of methods that are told."""
+    """IoU of what emerged as moving with the boxes that move.
+
+    NaN of methods that are told what moves, and where nothing does and nothing emerged.
+    """
     if not hasattr(method, "motion"):
         return float("nan")
     both = either = 0
@@ -171,7 +175,7 @@ def motion_iou(method: Adapter, street: Street) -> float:
         moving = moving_of(street, name, FITTED)
         emerged = method.motion(street.scene.camera(name, FITTED), FITTED)[0] > 0.5
         both, either = both + (moving & emerged).sum(), either + (moving | emerged).sum()
-    return float(both / max(either, 1))
+    return float(both / either) if either else float("nan")
 
 
 def main() -> None:
@@ -184,7 +188,7 @@ def main() -> None:
         streets = [render_street(name, config, Path(folder) / name) for name in SCENES]
         for entry in entrants:
             rows = {street.name: measure(entry, street) for street in streets}
-            rows["mean"] = np.mean(list(rows.values()), axis=0)
+            rows["mean"] = pd.DataFrame(rows.values()).mean()  # of those that are numbers
             table = Table("street", *COLUMNS, title=f"{entry.label}, frame {HELD_OUT} held out")
             for name, row in rows.items():
                 numbers = zip(row, COLUMNS.values(), strict=True)

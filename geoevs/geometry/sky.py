@@ -9,6 +9,7 @@ from geoevs.scenes.camera import Camera
 SMOOTH = 3.0 / 255  # most that a pixel of the sky differs from its neighbours
 SMALLEST = 0.003  # share of the image that a patch of sky has at least
 REACH = 0.02  # share of the image's height around a LiDAR point that is no sky
+BRIGHT = 0.75  # share of all that cannot be sky which a patch of it is brighter than
 WALL = 30.0  # metres: what rises above the camera nearer than this is taken to go on upwards
 
 
@@ -39,13 +40,18 @@ def find_sky(
     smooth = ((steps <= SMOOTH) & (hit == 0)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(smooth, connectivity=4)
     grey = image.mean(axis=2)
-    bright = np.quantile(grey, 0.75)
-    sky = np.zeros(shape, bool)
+    patches = []
     for label in range(1, count):
         patch = labels == label
         tops = stats[label, cv2.CC_STAT_TOP] <= 1
         large = stats[label, cv2.CC_STAT_AREA] >= SMALLEST * patch.size
-        if tops and large and walled[patch].mean() < 0.5 and grey[patch].mean() > bright:
+        if tops and large and walled[patch].mean() < 0.5:
+            patches.append(patch)
+    rest = grey[~np.any(patches, axis=0)] if patches else grey
+    bright = np.quantile(rest, BRIGHT) if rest.size else 0.0  # all is sky
+    sky = np.zeros(shape, bool)
+    for patch in patches:
+        if grey[patch].mean() > bright:
             sky |= patch
     # Edges of clouds part the patches.
     kernel = np.ones((wide, wide), np.uint8)

@@ -27,3 +27,13 @@ def test_sky_is_bright_smooth_and_without_points():
     sky = find_sky(image, walls, camera)
     assert sky[1:19, 32:48].all()
     assert not sky[:, 51:].any()
+
+
+def test_an_image_may_be_all_sky():
+    camera = tiny_camera("front", 0.0, np.zeros(3))
+    nothing = np.zeros((0, 3))
+    even = np.full((HEIGHT, WIDTH, 3), (0.35, 0.5, 0.8))
+    paler = even + np.linspace(0, 0.15, HEIGHT)[:, None, None]  # towards the horizon
+    for image in (even, paler):
+        assert find_sky(image, nothing, camera).all()
+    assert not find_sky(0 * even, nothing, camera).any()  # a covered lens

@@ -64,7 +64,11 @@ class Method:
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Generate the view; `support` and `depth` are those of its condition map."""
-        return self._render(self._lifted.condition(camera, frame), camera, frame)
+        return self._render(self.condition(camera, frame), camera, frame)
+
+    def condition(self, camera: Camera, frame: int) -> Raster:
+        """The condition map of a view: all that its picture is generated from."""
+        return self._lifted.condition(camera, frame)
 
     def render_masked(
         self,

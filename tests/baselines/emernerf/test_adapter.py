@@ -164,8 +164,9 @@ def test_all_sky_is_fitted(tmp_path):
     write_scene(tmp_path / "sky", INFO, tracks(frames=0), iter([frame]))
     method, report = fit(Scene(tmp_path / "sky"), iterations=150, learning_rate=0.03)
     assert report.note == "no LiDAR: no depth losses; one frame: no dynamic field"
-    rgb = method.render(camera, 0).rgb
-    assert abs(rgb - blue / 255).mean() < 0.05
+    seen = method.render(camera, 0)
+    assert abs(seen.rgb - blue / 255).mean() < 0.05
+    assert not seen.depth.any()
 
 
 @pytest.mark.parametrize(
