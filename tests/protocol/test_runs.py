@@ -1,3 +1,5 @@
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,6 +33,15 @@ def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
         pixels = read_image(tmp_path / "renders" / image)
         assert pixels.shape == (48, 72, 3)
         assert (pixels == 128).all()  # 0.5 * 255, rounded to even
+
+
+def test_compilation_is_no_cost_of_a_fit_but_noted(toy, attempt):
+    lines = "import numba; numba.njit(parallel=True)(lambda x: (2 * x + 1).sum())(np.ones(9))"
+    fits, _ = attempt(toy("compiled", fit=lines))
+    fit = fits["all-cameras"]
+    noted = re.fullmatch(r"toy; kernels compiled in (\d+\.\d) s, not counted", fit["note"])
+    assert noted
+    assert 0 <= fit["fit_seconds"] < float(noted[1])
 
 
 # Where the method breaks: lines of fit, render or load; the stage, and the reason's start.
