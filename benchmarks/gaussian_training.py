@@ -25,7 +25,8 @@ BARS = {128: 45.0, 256: 29.0}
 """Iterations a second on two cores, by the picture's side in pixels."""
 
 TRAINING, FIRST = 2500, 101
-"""Steps of a training, and the first one timed, from which the strategies act."""
+"""Steps of a training, and the first one timed, from which the strategies act: as the cap is the
+number of Gaussians, they relocate or prune some, but add none."""
 
 STEPS, TWIN_STEPS = 61, 2
 

@@ -7,7 +7,6 @@ Names are those of the reconstructions under `methods` in config.yaml; without a
 
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.moving import moving_pixels
 from geoevs.io import to_float
 from geoevs.projection import colour_points
-from geoevs.protocol.clock import synchronise
+from geoevs.protocol.clock import timed
 from geoevs.protocol.depth_scoring import FARTHEST
 from geoevs.protocol.entries import ORACLES, MethodEntry
 from geoevs.protocol.targets import make_targets
@@ -132,17 +131,14 @@ def measure(entry: MethodEntry, street: Street) -> Measured:
     scene, seconds = street.scene, []
     method = make_method(entry.method, entry.options)
     views, budget = HeldOut(scene, method.info.needs), Budget(threads=torch.get_num_threads())
-    start = time.perf_counter()
-    method.fit(views, budget, Rng(entry.seed, street.name))
-    synchronise()
-    fitted = time.perf_counter() - start
+    with timed() as fit:
+        method.fit(views, budget, Rng(entry.seed, street.name))
 
     def errors(camera: Camera, frame: int, truth: np.ndarray) -> tuple[Rendering, np.ndarray]:
         """What is seen, and its (H, W) squared errors."""
-        start = time.perf_counter()
-        seen = method.render(camera, frame)
-        synchronise()
-        seconds.append(time.perf_counter() - start)
+        with timed() as spent:
+            seen = method.render(camera, frame)
+        seconds.append(spent.seconds)
         return seen, ((to_float(seen.rgb) - truth) ** 2).mean(axis=2)
 
     whole, still, depths = [], [], []
@@ -160,7 +156,8 @@ def measure(entry: MethodEntry, street: Street) -> Measured:
         scored = (truth > 0) & (truth < FARTHEST)
         relative = depth_metrics(np.stack(depths), truth, scored)["abs_rel"]
     means = [float(np.mean(views)) for views in (whole, still, extrapolated)]
-    return Measured(*means, relative, motion_iou(method, street), fitted, float(np.median(seconds)))
+    iou, rendered = motion_iou(method, street), float(np.median(seconds))
+    return Measured(*means, relative, iou, fit.seconds, rendered)
 
 
 def motion_iou(method: Adapter, street: Street) -> float:

@@ -27,7 +27,7 @@ def code_hash(*modules: str) -> str:
             waiting.extend(_imports(module))
     digest = hashlib.sha256()
     for module in sorted(reached):
-        digest.update(f"{module}\n{ast.dump(_tree(module))}\n".encode())
+        digest.update(_code(module))
     folders = {_path(module).parent for module in reached}
     for data in sorted(path for folder in folders for path in folder.iterdir()):
         if data.suffix not in DATA:
@@ -47,6 +47,11 @@ def _path(module: str) -> Path | None:
 @cache
 def _tree(module: str) -> ast.Module:
     return ast.parse(_path(module).read_bytes())
+
+
+@cache
+def _code(module: str) -> bytes:
+    return f"{module}\n{ast.dump(_tree(module))}\n".encode()
 
 
 @cache

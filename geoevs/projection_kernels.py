@@ -7,6 +7,7 @@ no fused multiply-adds, no reciprocals in place of divisions, no matrix products
 import numba
 import numpy as np
 
+from geoevs.kernels import cached_njit
 from geoevs.scenes.camera import Camera
 
 # Points are projected a block at a time, so that coordinates, pixels and depths (36 kB) stay in
@@ -34,7 +35,7 @@ def project_columns(px, py, pz, lens):
 _project = numba.njit(project_columns, error_model="numpy")
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def project_numba(points, lens):
     """(uv [N, 2], depth [N]); uv is NaN where the depth is not positive and finite."""
     uv = np.empty((len(points), 2))
@@ -71,7 +72,7 @@ def _find_pixels(xs, ys, zs, lens, pixel, depth):
         depth[i] = z if inside else np.inf
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def zbuffer_numba(points, lens):
     """(index [H, W] or -1, depth [H, W] or 0) of the front-most points."""
     shape = int(lens[17]), int(lens[16])
@@ -115,7 +116,7 @@ def unproject_columns(column, row, z, placing):
 _unproject = numba.njit(unproject_columns, error_model="numpy")
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def unproject_numba(depth, placing):
     """(points [M, 3], flat pixels [M]) of the pixels whose depth is positive and finite."""
     height, width = depth.shape

@@ -18,14 +18,16 @@ def copy(tmp_path, monkeypatch):
         shutil.copytree(module.ROOT / package, tmp_path / package)
     monkeypatch.setattr(module, "ROOT", tmp_path)
 
+    def forget() -> None:
+        for part in (module._tree, module._code, module._imports):
+            part.cache_clear()
+
     def fresh(*names: str) -> str:
-        module._tree.cache_clear()
-        module._imports.cache_clear()
+        forget()
         return code_hash(*names)
 
     yield tmp_path, fresh
-    module._tree.cache_clear()
-    module._imports.cache_clear()
+    forget()
 
 
 def edit(path: Path, old: str, new: str) -> None:

@@ -14,6 +14,8 @@ take three times as long to compile.
 import numba
 import numpy as np
 
+from geoevs.kernels import cached_njit
+
 # One factor an axis, as Instant NGP has them; the first one keeps neighbours together.
 PRIMES = (1, 2654435761, 805459861, 3674653429)
 
@@ -84,7 +86,7 @@ def _scratch(dims):
     return low, share, np.empty((corners, BLOCK), np.uint32), np.empty((corners, BLOCK), np.float32)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def encode(first, last, primes, positions, table, cells, offsets, result):
     """Features [N, levels * WIDTH] of a range of points."""
     low, share, rows, weights = _scratch(len(primes))
@@ -107,7 +109,7 @@ def encode(first, last, primes, positions, table, cells, offsets, result):
                 out[i, 0], out[i, 1], out[i, 2], out[i, 3] = a, b, c, d
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def table_gradient(first, last, primes, positions, gradient, cells, offsets, result):
     """The gradient [entries, WIDTH] of a range of levels, from that of the features."""
     low, share, rows, weights = _scratch(len(primes))
@@ -129,7 +131,7 @@ def table_gradient(first, last, primes, positions, gradient, cells, offsets, res
                     result[row, 3] += weight * d
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def position_gradient(first, last, primes, positions, table, gradient, cells, offsets, result):
     """The gradient [N, D] of a range of points, from that of the features."""
     low, share, rows, weights = _scratch(len(primes))

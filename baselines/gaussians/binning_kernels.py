@@ -16,6 +16,7 @@ from baselines.gaussians.projection_kernels import (
     ROOT_YY,
     TIP,
 )
+from geoevs.kernels import cached_njit
 
 TILE = 16
 """Side of a tile in pixels."""
@@ -24,7 +25,7 @@ _DIGIT = 11
 _BUCKETS = 1 << _DIGIT
 
 
-@numba.njit(cache=True, error_model="numpy")
+@cached_njit(error_model="numpy")
 def depth_order(splats, radii):
     """Indices [M] int32 of the splats in the picture, front to back, equals by index.
 
@@ -88,7 +89,7 @@ def _columns_of(splat, row, columns):
     return _tiles_between(splat[CENTRE_X] + left, splat[CENTRE_X] + right, columns)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@cached_njit(parallel=True, error_model="numpy")
 def bin_splats(splats, order, rows, columns, threads):
     """(ids [E] int32, starts [tiles + 1]): tile t holds the splats ids[starts[t] : starts[t + 1]].
 

@@ -48,6 +48,7 @@ from baselines.gaussians.simd import (
     store,
     sum_lanes,
 )
+from geoevs.kernels import cached_njit
 
 PIXELS = TILE * TILE
 BLOCK = 4
@@ -253,7 +254,7 @@ def _place(y, x):
     return (y // BLOCK * BLOCK + x // BLOCK) * LANES + y % BLOCK * BLOCK + x % BLOCK
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@cached_njit(parallel=True, error_model="numpy")
 def blend(splats, ids, starts, background, height, width, threads):
     """((rgb [H, W, 3], depth [H, W], opacity [H, W]), blocks [E]) of binned splats."""
     blocks = np.empty(len(ids), np.uint16)
@@ -292,7 +293,7 @@ def blend(splats, ids, starts, background, height, width, threads):
     return (rgb, depth, opacity), blocks
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@cached_njit(parallel=True, error_model="numpy")
 def blend_backward(
     splats, ids, starts, blocks, rgb, depth, opacity, by_rgb, by_depth, by_opacity, threads
 ):

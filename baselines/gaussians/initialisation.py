@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 
 from baselines.gaussians.sfm import triangulate
 from geoevs.adapter import Views
+from geoevs.code_hash import code_hash
 from geoevs.errors import GeoEvsError, did_you_mean
 from geoevs.io import read_arrays, write_arrays
 from geoevs.scenes.scene import PointCloud
@@ -53,7 +55,8 @@ def starting_points(
         most: a random choice of this many points is kept of more.
         rng: chooses, and draws random points.
         first: one of SOURCES.
-        cache: a folder that keeps the points of SfM, one file for each set of views.
+        cache: a folder that keeps the points of SfM, one file for each set of views and version of
+            what finds them.
 
     Raises:
         GeoEvsError: there is no such source, or the cache is damaged.
@@ -106,8 +109,8 @@ def _from_sfm(xyz: np.ndarray, rgb: np.ndarray) -> StartingPoints:
 
 
 def _identity(views: Views) -> str:
-    """What decides the points: calibration and images."""
-    parts = []
+    """What decides the points: calibration, images, and what triangulates them."""
+    parts = [pycolmap.__version__, code_hash("baselines.gaussians.sfm")]
     for frame in views.frames:
         for name in views.cameras:
             camera = views.camera(name, frame)

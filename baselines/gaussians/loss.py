@@ -5,13 +5,13 @@ separable filters and one pass over the pixels take a tenth of that.
 """
 
 import cv2
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
 from geoevs.errors import GeoEvsError
+from geoevs.kernels import cached_njit
 
 SSIM_WEIGHT = 0.2
 WINDOW = 11
@@ -106,7 +106,7 @@ def _filter(values: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(values, -1, KERNEL, KERNEL, borderType=cv2.BORDER_CONSTANT)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _ssim(x, y, xx, yy, xy, ssim, by_mean, by_square, by_product, c1, c2):
     """SSIM, and its derivatives by the window means of x, of x * x and of x * y."""
     for i in range(len(x)):
@@ -121,7 +121,7 @@ def _ssim(x, y, xx, yy, xy, ssim, by_mean, by_square, by_product, c1, c2):
         by_mean[i] = y[i] * (b + b - a - a) / (c * d) + (x[i] + x[i]) * (ssim[i] / d - ssim[i] / c)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def _combine(x, y, by_square, by_product, gradient, absolute):
     """The loss's gradient from SSIM's by the means, which it replaces, and |x - y|."""
     count = x.dtype.type(len(x))

@@ -59,8 +59,9 @@ class Optimiser:
             # A sum is finite only if all its terms are, and takes a fifteenth of testing each.
             if tensor.grad is not None and not tensor.grad.sum().isfinite():
                 raise GeoEvsError(
-                    f"the gradient of {name}{whose} is not finite at step {step}; the last good "
-                    "Gaussians are kept, so lower the learning rates or look for broken views"
+                    f"the gradient of {name}{whose} is not finite at step {step}; the "
+                    "Gaussians stay as they were before it, so lower the learning rates or look "
+                    "for broken views"
                 )
 
     def step(self, step: int) -> None:

@@ -19,6 +19,7 @@ from baselines.gaussians.constants import (
     SH_C0,
     SH_C1,
 )
+from geoevs.kernels import cached_njit
 
 COLUMNS = 16
 CENTRE_X, CENTRE_Y, ROOT_XX, ROOT_YX, ROOT_YY, LOG_OPACITY, RED, GREEN, BLUE, DEPTH = range(10)
@@ -172,7 +173,7 @@ def _shade_one(means, sh, i, lens, splat):
         splat[RED + channel] = 0.0 if value < 0 else value
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@cached_njit(parallel=True, error_model="numpy")
 def project(means, quats, scales, opacities, sh, lens):
     """(splats [N, 16], radii [N]); the rows of those with radius 0 hold nothing."""
     splats = np.empty((len(means), COLUMNS), np.float32)
@@ -296,7 +297,7 @@ def _shade_one_backward(means, sh, i, lens, splat, grad, means_grad, sh_grad):
             means_grad[i, k] += by_ray[k]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@cached_njit(parallel=True, error_model="numpy")
 def project_backward(means, quats, scales, opacities, sh, lens, splats, radii, grads):
     """Gradients by the five parameters and by the centres in the picture [N, 2].
 

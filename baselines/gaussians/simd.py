@@ -2,8 +2,6 @@
 
 In a compiled function, `broadcast` and `load` make vectors, and `+ - * /` work on them and between
 them and scalars. LLVM fits them to the machine: one AVX-512 register, two of AVX2, four of NEON.
-
-The kernels' cached code does not notice edits of this file: delete `__pycache__` after one.
 """
 
 import operator

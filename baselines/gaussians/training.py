@@ -151,8 +151,8 @@ class Trainer:
         for name, (tensor, _) in self._extras.items():
             if tensor.grad is not None and not tensor.grad.sum().isfinite():
                 raise GeoEvsError(
-                    f"the gradient of {name} is not finite at step {step}; the last good values "
-                    "are kept, so look for broken views or boxes"
+                    f"the gradient of {name} is not finite at step {step}; the values "
+                    "stay as they were before it, so look for broken views or boxes"
                 )
 
     def _step_extras(self, step: int) -> None:

@@ -1,7 +1,6 @@
 """How good the depth of recorded views is, before and after fine-tuning (paper section 3.2)."""
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from geoevs.adapter import Views
 from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.depth_models import DepthModel, LidarDepth
 from geoevs.projection import zbuffer
-from geoevs.protocol.clock import synchronise
+from geoevs.protocol.clock import timed
 from geoevs.protocol.entries import EMPTY_MASK, OK
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
@@ -107,11 +106,9 @@ def _timed_depths(
     views = Views(scene, scene.cameras, needs)
     model.depths(views, views.frames[0])  # the first call compiles and allocates
     for frame in views.frames:
-        synchronise()
-        start = time.perf_counter()
-        found = model.depths(views, frame)
-        synchronise()
-        yield frame, found, time.perf_counter() - start
+        with timed() as spent:
+            found = model.depths(views, frame)
+        yield frame, found, spent.seconds
 
 
 def _frame_rows(

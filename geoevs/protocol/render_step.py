@@ -1,7 +1,6 @@
 """Rendering a scene's targets with a fitted method, as the isolated process runs it."""
 
 import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from geoevs.adapter import MaskedAdapter, Rendering, method_class
 from geoevs.errors import GeoEvsError
 from geoevs.io import to_uint8, write_image
-from geoevs.protocol.clock import synchronise
+from geoevs.protocol.clock import timed
 from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.masks import Masks
 from geoevs.protocol.oracle import Oracle
@@ -62,11 +61,9 @@ def render_step(
     render(wanted[0])
     seconds = []
     for target in wanted:
-        synchronise()
-        start = time.perf_counter()
-        rendering = render(target)
-        synchronise()
-        seconds.append(time.perf_counter() - start)
+        with timed() as spent:
+            rendering = render(target)
+        seconds.append(spent.seconds)
         write_image(Path(folder) / f"{target.key}.png", _checked(rendering, target))
     return {"render_seconds": statistics.median(seconds)}
 

@@ -39,7 +39,10 @@ def fit_method(
                 "budget": asdict(budget),
                 "folder": str(model),
             }
-            outcomes[sources] = _attempt("fit", arguments, budget.threads, log)
+            outcome = _attempt("fit", arguments, budget.threads, log)
+            if outcome["status"] == FAILED and any(model.iterdir()):
+                outcome["reason"] += f"; what it saved is in {folder / sources / 'model'}"
+            outcomes[sources] = outcome
         write_json(partial / "fit.json", outcomes)
 
 

@@ -1,3 +1,5 @@
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,6 +35,15 @@ def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
         assert (pixels == 128).all()  # 0.5 * 255, rounded to even
 
 
+def test_compilation_is_no_cost_of_a_fit_but_noted(toy, attempt):
+    lines = "import numba; numba.njit(parallel=True)(lambda x: (2 * x + 1).sum())(np.ones(9))"
+    fits, _ = attempt(toy("compiled", fit=lines))
+    fit = fits["all-cameras"]
+    noted = re.fullmatch(r"toy; kernels compiled in (\d+\.\d) s, not counted", fit["note"])
+    assert noted
+    assert 0 <= fit["fit_seconds"] < float(noted[1])
+
+
 # Where the method breaks: lines of fit, render or load; the stage, and the reason's start.
 FAILURES = {
     "fit raises": ({"fit": "raise KeyError('oops')"}, "fit", "KeyError: 'oops'"),
@@ -52,9 +63,13 @@ def test_what_a_fit_stopped_at_on_purpose_is_kept(toy, attempt, tmp_path, error)
     lines = f"from geoevs.errors import GeoEvsError; raise {error}('stopped')"
     fits, _ = attempt(toy("bad", fit=lines))
     assert (fits["all-cameras"]["status"], fits["all-cameras"]["stage"]) == ("failed", "fit")
-    assert "stopped" in fits["all-cameras"]["reason"]
-    kept = tmp_path / "model" / "all-cameras" / "model/value"
-    assert kept.exists() == (error == "GeoEvsError")
+    reason, folder = fits["all-cameras"]["reason"], tmp_path / "model" / "all-cameras" / "model"
+    if error == "GeoEvsError":
+        assert reason == f"stopped; what it saved is in {folder}"
+        assert (folder / "value").exists()
+    else:
+        assert reason == "KeyError: 'stopped'"
+        assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize("kind", FAILURES)

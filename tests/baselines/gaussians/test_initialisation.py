@@ -106,6 +106,22 @@ def test_the_cache_spares_sfm(views_of_wall, tmp_path, monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.parametrize(
+    ("place", "name", "other"),
+    [
+        (initialisation.pycolmap, "__version__", "0.0"),
+        (initialisation, "code_hash", {"baselines.gaussians.sfm": "other"}.__getitem__),
+    ],
+)
+def test_points_of_another_sfm_are_not_taken(
+    views_of_wall, tmp_path, monkeypatch, place, name, other
+):
+    start(views_of_wall(ASIDE), cache=tmp_path)
+    assert "kept from before" in start(views_of_wall(ASIDE), cache=tmp_path).note
+    monkeypatch.setattr(place, name, other)
+    assert "kept from before" not in start(views_of_wall(ASIDE), cache=tmp_path).note
+
+
 def test_a_damaged_cache_is_named(views_of_wall, tmp_path):
     start(views_of_wall(ASIDE), cache=tmp_path)
     (kept,) = tmp_path.iterdir()
