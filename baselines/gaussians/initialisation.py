@@ -1,4 +1,4 @@
-"""Where Gaussians start: points of SfM, of LiDAR, or random ones along the source views' rays."""
+"""Where Gaussians start: points of SfM, LiDAR or both, or random ones along the views' rays."""
 
 import dataclasses
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from geoevs.io import read_arrays, write_arrays
 from geoevs.scenes.scene import PointCloud
 from geoevs.training import fingerprint
 
-SOURCES = ("sfm", "lidar", "random")
+SOURCES = ("sfm", "lidar", "sfm and lidar", "random")
 
 FEWEST = 100
 """Points that a source must give: fewer leave most of a scene without any Gaussian to grow from."""
@@ -49,6 +49,7 @@ def starting_points(
     """Points to put the first Gaussians at, from the first source that has enough of them.
 
     `first` is tried first, then SfM, the LiDAR where the method declared it, and random points.
+    Of `sfm and lidar`, SfM's all stay, up to half of them: LiDAR is dense, and ends low on facades.
 
     Args:
         views: what the method may see.
@@ -66,19 +67,20 @@ def starting_points(
     makers: dict[str, Callable[[], StartingPoints]] = {
         "sfm": lambda: _sfm_points(views, cache),
         "lidar": lambda: _lidar_points(views),
+        "sfm and lidar": lambda: _both(
+            _at_most(_sfm_points(views, cache), most // 2, rng), _lidar_points(views), most, rng
+        ),
         "random": lambda: _random_points(views, rng, RANDOM_POINTS, RANDOM_DEPTHS),
     }
     reasons = []
-    for source in sorted(SOURCES, key=lambda source: source != first):  # stable
-        if source == "lidar" and not views.has("lidar"):
+    for source in dict.fromkeys([first, "sfm", "lidar", "random"]):
+        if "lidar" in source and not views.has("lidar"):
             continue
         points = makers[source]()
         if len(points.xyz) >= FEWEST or source == "random":
             break
         reasons.append(f"{points.note}, too few")
-    if len(points.xyz) > most:
-        keep = np.sort(rng.choice(len(points.xyz), most, replace=False))
-        points = StartingPoints(points.xyz[keep], points.rgb[keep], f"{most} of {points.note}")
+    points = _at_most(points, most, rng)
     return dataclasses.replace(points, note="; ".join([f"starts from {points.note}", *reasons]))
 
 
@@ -127,16 +129,33 @@ def _lidar_points(views: Views) -> StartingPoints:
     return StartingPoints(xyz, rgb, f"{len(xyz)} LiDAR points")
 
 
+def _at_most(points: StartingPoints, most: int, rng: np.random.Generator) -> StartingPoints:
+    """A random choice of so many points, if there are more."""
+    if len(points.xyz) <= most:
+        return points
+    keep = np.sort(rng.choice(len(points.xyz), most, replace=False))
+    return StartingPoints(points.xyz[keep], points.rgb[keep], f"{most} of {points.note}")
+
+
+def _both(
+    all_of: StartingPoints, some_of: StartingPoints, most: int, rng: np.random.Generator
+) -> StartingPoints:
+    """All of some points, and as many of others as there is room for."""
+    some_of = _at_most(some_of, most - len(all_of.xyz), rng)
+    return _joined(all_of, some_of, f"{all_of.note} and {some_of.note}")
+
+
+def _joined(one: StartingPoints, other: StartingPoints, note: str) -> StartingPoints:
+    xyz, rgb = ([getattr(points, field) for points in (one, other)] for field in ("xyz", "rgb"))
+    return StartingPoints(np.concatenate(xyz), np.concatenate(rgb), note)
+
+
 def with_far_points(
     points: StartingPoints, count: int, views: Views, rng: np.random.Generator
 ) -> StartingPoints:
     """Some points, and random ones behind them, for the sky and what else has no features."""
     far = _random_points(views, rng, count, FAR_DEPTHS)
-    return StartingPoints(
-        np.concatenate([points.xyz, far.xyz]),
-        np.concatenate([points.rgb, far.rgb]),
-        f"{points.note}; {count} far ones",
-    )
+    return _joined(points, far, f"{points.note}; {count} far ones")
 
 
 def _random_points(

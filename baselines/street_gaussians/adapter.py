@@ -29,7 +29,7 @@ class Method(GaussianMethod):
             tracks = moving_tracks(views)
             clouds = {frame: views.lidar(frame) for frame in views.frames}
             photos[:] = [with_evidence(photo, clouds[photo.frame], tracks) for photo in photos]
-            points = starting_points(views, most, rng.numpy, "lidar", self.sfm_cache)
+            points = starting_points(views, most, rng.numpy, "sfm and lidar", self.sfm_cache)
             keep = outside_all(points.xyz, tracks)
             background = gaussians_from_points(points.xyz[keep], points.rgb[keep], sh_degree=1)
             actors = make_actors(tracks, views, clouds, rng.numpy, device)

@@ -36,6 +36,13 @@ def start(views, most=100_000, seed=0, **options):
         ),
         (True, ("sfm", "lidar"), "lidar", LIDAR, f"starts from {LIDAR} LiDAR points"),
         (True, ("sfm",), "random", 5000, "starts from 5000 random points"),
+        (
+            False,
+            ("sfm", "lidar"),
+            "sfm and lidar",
+            LIDAR,
+            f"starts from 0 points of SfM and {LIDAR} LiDAR points",
+        ),
     ],
 )
 def test_the_first_source_that_has_enough(views_of_wall, coloured, needs, first, count, note):
@@ -50,6 +57,20 @@ def test_sfm_where_it_works(views_of_wall, first):
     points = start(views_of_wall(ASIDE), first=first)
     assert points.note == f"starts from {len(points.xyz)} points of SfM"
     assert len(points.xyz) >= FEWEST
+
+
+@pytest.mark.parametrize("most", [100_000, 700, 200])
+def test_sfm_stays_up_to_half_and_lidar_fills_what_is_left(views_of_wall, most):
+    views = views_of_wall(ASIDE, needs=("sfm", "lidar"))
+    sfm, lidar = (start(views, first=source).xyz for source in ("sfm", "lidar"))
+    both = start(views, most, first="sfm and lidar")
+    counts = {
+        source: sum((xyz == row).all(axis=1).any() for row in both.xyz)
+        for source, xyz in {"sfm": sfm, "lidar": lidar}.items()
+    }
+    assert counts["sfm"] == min(len(sfm), most // 2)
+    assert counts["lidar"] == min(len(lidar), most - counts["sfm"])
+    assert len(both.xyz) == counts["sfm"] + counts["lidar"]
 
 
 def test_an_unknown_source_is_named(views_of_wall):
