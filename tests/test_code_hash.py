@@ -44,7 +44,8 @@ def test_comments_and_layout_do_not_count(copy):
     root, fresh = copy
     before = fresh(FIT)
     append(root / "geoevs/protocol/fit_step.py", "\n\n# a remark\n")
-    edit(root / "geoevs/protocol/fit_step.py", "import time\n", "import time  # of day\n\n\n")
+    remarked = "from pathlib import Path  # a remark\n\n\n"
+    edit(root / "geoevs/protocol/fit_step.py", "from pathlib import Path\n", remarked)
     assert fresh(FIT) == before
 
 

@@ -54,7 +54,7 @@ def scale(x):
 from baselines.inner import scale
 from geoevs.kernels import cached_njit
 
-@cached_njit(parallel=True)
+@cached_njit()
 def kernel(x):
     return scale(x) + 1
 """,
