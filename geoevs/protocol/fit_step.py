@@ -35,8 +35,8 @@ def fit_step(
         folder: an empty folder for the saved method.
 
     Returns:
-        Fit seconds, primitives, parameters, bytes on disk, the method's note, and whether it can
-        be asked for masked views.
+        Fit seconds, primitives, parameters, bytes on disk, the method's note, whether it can be
+        asked for masked views, and whether it is random.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
@@ -61,4 +61,5 @@ def fit_step(
         "bytes": size,
         "note": report.note,
         "masked": isinstance(adapter, MaskedAdapter),
+        "random": rng.used,
     }
