@@ -59,7 +59,7 @@ def stability_step(
                     fit = fit_step(condition["scene"], method, options, *arguments)
                     stage = "render"
                     seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
-                    render_step(method, *seen)
+                    render_step(method, *seen, warm_up=False)
                 if not fit["random"]:
                     certain[condition["scene"]] = place
             except Exception as error:

@@ -122,12 +122,13 @@ def test_a_process_that_dies_fails_what_it_had_not_done(folder, toy):
 def test_a_fit_without_randomness_stands_for_all_draws_of_its_scene(
     folder, toy, tmp_path, draw, fits
 ):
-    count = tmp_path / "fits"
-    method = toy("counted", fit=f"open({str(count)!r}, 'a').write('.')\n{draw}")
+    done = tmp_path / "done"
+    write = f"open({str(done)!r}, 'a').write"
+    method = toy("counted", fit=f"{write}('fit ')\n{draw}", render=f"{write}('view ')")
     world = folder / layout.SCENE.format(dataset="d", scene="tiny")
     other = write_tiny_scene(tmp_path / "other").folder
     renders = render(folder, method, "motion", [world, world, other, other])
-    assert len(count.read_text()) == fits
+    assert done.read_text() == "fit view view " * fits  # nothing is timed: no view twice
     for condition in conditions("motion", SETTINGS):
         assert read_json(renders / condition.key / "outcome.json")["status"] == "ok"
         assert len(list((renders / condition.key).rglob("*.png"))) == 2
