@@ -74,6 +74,11 @@ class Rng:
 
         return torch.Generator().manual_seed(self._entropy % 2**63)
 
+    @property
+    def used(self) -> bool:
+        """Whether either generator was asked for; if not, another seed would change nothing."""
+        return not vars(self).keys().isdisjoint({"numpy", "torch"})
+
 
 @dataclass(frozen=True)
 class FitReport:

@@ -38,7 +38,8 @@ def fit_step(
 
     Returns:
         Fit seconds without those of compilation, primitives, parameters, bytes on disk, a note, the
-        method's and ours on compilation, and whether it can be asked for masked views.
+        method's and ours on compilation, whether it can be asked for masked views, and whether it
+        is random.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
@@ -64,4 +65,5 @@ def fit_step(
         "bytes": size,
         "note": "; ".join(notes),
         "masked": isinstance(adapter, MaskedAdapter),
+        "random": rng.used,
     }

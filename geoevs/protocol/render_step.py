@@ -25,6 +25,7 @@ def render_step(
     masks: str,
     evidence: dict[str, str],
     folder: str,
+    warm_up: bool = True,
 ) -> dict[str, Any]:
     """Render every target of a set of sources with a saved method.
 
@@ -38,9 +39,10 @@ def render_step(
         masks: the scene's condition masks; oracles show the view without.
         evidence: paths of the scene, references and truth; for oracles alone.
         folder: where `<target key>.png` go.
+        warm_up: whether one view is rendered before, which only seconds need.
 
     Returns:
-        The median seconds per view, after one render that warms up.
+        The median seconds per view.
     """
     wanted = [target for target in read_targets(Path(targets)) if target.sources == sources]
     render: Callable[[Target], Rendering]
@@ -58,7 +60,8 @@ def render_step(
                 return adapter.render_masked(target.camera, target.frame, keeps[target.key])
             return adapter.render(target.camera, target.frame)
 
-    render(wanted[0])
+    if warm_up:
+        render(wanted[0])
     seconds = []
     for target in wanted:
         with timed() as spent:

@@ -56,12 +56,13 @@ def groups(settings: dict[str, Any]) -> list[str]:
 
 
 def conditions(stressor: str, settings: dict[str, Any]) -> list[Condition]:
-    """The conditions of a group: every level and draw; worlds have nothing to draw."""
+    """The conditions of a group: every level and draw.
+
+    In CLEAN and in worlds, draws are given the same scene, and seed the method alone.
+    """
     draws = range(settings["seeds"])
     if stressor == CLEAN:
         return [Condition(CLEAN, draw=draw) for draw in draws]
-    if STRESSORS[stressor].acts_on == "world":
-        draws = range(1)
     return [
         Condition(stressor, level, draw) for level in settings["levels"][stressor] for draw in draws
     ]
@@ -136,7 +137,8 @@ def render_conditions(
 ) -> None:
     """Fit and render a method under every condition of one group.
 
-    One isolated process does them all, since starting one costs more than most fits. Leaves
+    One isolated process does them all, since starting one costs more than most fits; draws of one
+    scene that a method has no randomness for share one result. Leaves
     `<condition key>/<target key>.png` and `<condition key>/outcome.json`, which says at which
     stage and why a condition failed; the others go on.
 

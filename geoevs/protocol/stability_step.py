@@ -1,5 +1,6 @@
 """Fitting and rendering a method under many conditions, as one isolated process runs it."""
 
+import shutil
 import tempfile
 import traceback
 from pathlib import Path
@@ -26,6 +27,8 @@ def stability_step(
 ) -> None:
     """Fit and render each condition in turn; one that fails says so, and the next one is tried.
 
+    A fit that is not random stands for all draws of its scene.
+
     Args:
         method: its name.
         options: its own.
@@ -40,8 +43,12 @@ def stability_step(
         listed = Path(scratch) / "targets.json"
         every = read_targets(Path(targets))
         write_targets(listed, [t for t in every if splits is None or t.split in splits])
+        certain: dict[str, Path] = {}  # by scene: what a fit that is not random has left
         for condition in conditions:
             place = Path(folder) / condition["key"]
+            if condition["scene"] in certain:
+                shutil.copytree(certain[condition["scene"]], place)
+                continue
             place.mkdir()
             outcome = {"status": OK, "stage": "", "reason": "", "log": ""}
             stage = "fit"
@@ -49,10 +56,12 @@ def stability_step(
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
                     budget = {"seconds": None, "threads": 1}
                     arguments = (condition["seed"], ALL_CAMERAS, budget, model)
-                    fit_step(condition["scene"], method, options, *arguments)
+                    fit = fit_step(condition["scene"], method, options, *arguments)
                     stage = "render"
                     seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
-                    render_step(method, *seen)
+                    render_step(method, *seen, warm_up=False)
+                if not fit["random"]:
+                    certain[condition["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
                 kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "

@@ -17,7 +17,7 @@ from geoevs.results.summary import redraw, summarise
 from geoevs.results.tables import FLOOR, display_name, is_control
 
 ENTRANT = ["dataset", "method", "variant"]
-VIEW = ["scene", "frame", "target", "metric", "seed"]
+VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
     *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
     *("mean", "low", "high", "relative_degradation", "worst_decile", "failure_rate", "n"),
@@ -52,12 +52,13 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
         COLUMNS. `mean` and its interval are over frames and draws; `relative_degradation` is the
         share of the mildest level's mean that is lost; `worst_decile` is the mean of the worst
         tenth of views; `failure_rate` is the share of views that were not delivered, or that are
-        below what the floor control scores on them without stress.
+        below what the floor control scores on them, in their world, without stress.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
     """
     check_fingerprints(scores)
+    scores = scores.assign(world=_world(scores))
     floor = _floor(scores)
     table = []
     for key, rows in _curves(scores):
@@ -67,7 +68,7 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
             here = _at(rows, level)
             values = here["value"].dropna()
             low, high = _ends(curve.samples[:, number], tail)
-            bar = here.merge(floor, on=VIEW[:-1], how="left")
+            bar = here.merge(floor, on=VIEW, how="left")
             below = (bar["value"] < bar["floor"] - ROUNDING) | (bar["status"] == FAILED)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
@@ -101,11 +102,20 @@ def _ends(samples: np.ndarray, tail: float) -> tuple[float, float]:
 
 
 def _floor(scores: pd.DataFrame) -> pd.DataFrame:
-    """What the floor control scores on every view without stress: `floor` beside VIEW."""
+    """What the floor control scores on every view without stress: `floor` beside VIEW.
+
+    Views of another world have the names of the clean ones, and another truth.
+    """
     rows = scores[scores["method"] == FLOOR]
     unstressed = rows["stressor"].isin([CLEAN, *_own_mildest()])
-    views = rows[unstressed].groupby(VIEW[:-1], as_index=False)["value"].mean()
+    views = rows[unstressed].groupby(VIEW, as_index=False, dropna=False)["value"].mean()
     return views.rename(columns={"value": "floor"})
+
+
+def _world(scores: pd.DataFrame) -> pd.Series:
+    """The level of the stressor that made a row's world; NaN is the clean one."""
+    worlds = [name for name, stressor in STRESSORS.items() if stressor.acts_on == "world"]
+    return scores["level"].where(scores["stressor"].isin(worlds))
 
 
 def _own_mildest() -> list[str]:

@@ -43,7 +43,9 @@ def test_groups_and_their_conditions():
     assert [condition.key for condition in conditions("support", SETTINGS)] == [
         *("0.05.seed0", "0.05.seed1", "0.01.seed0", "0.01.seed1"),
     ]
-    assert len(conditions("motion", SETTINGS)) == 2  # nothing is drawn in a world
+    assert [condition.key for condition in conditions("motion", SETTINGS)] == [
+        *("0.seed0", "0.seed1", "5.seed0", "5.seed1"),
+    ]
     assert [condition.draw for condition in conditions(CLEAN, SETTINGS)] == [0, 1]
 
 
@@ -112,6 +114,24 @@ def test_a_process_that_dies_fails_what_it_had_not_done(folder, toy):
         outcome = read_json(renders / condition.key / "outcome.json")
         assert outcome["status"] == "failed"
         assert "exit code 3" in outcome["reason"]
+
+
+@pytest.mark.parametrize(
+    ("draw", "fits"), [("pass", 2), ("rng.numpy.random()", 4), ("rng.torch.initial_seed()", 4)]
+)
+def test_a_fit_without_randomness_stands_for_all_draws_of_its_scene(
+    folder, toy, tmp_path, draw, fits
+):
+    done = tmp_path / "done"
+    write = f"open({str(done)!r}, 'a').write"
+    method = toy("counted", fit=f"{write}('fit ')\n{draw}", render=f"{write}('view ')")
+    world = folder / layout.SCENE.format(dataset="d", scene="tiny")
+    other = write_tiny_scene(tmp_path / "other").folder
+    renders = render(folder, method, "motion", [world, world, other, other])
+    assert done.read_text() == "fit view view " * fits  # nothing is timed: no view twice
+    for condition in conditions("motion", SETTINGS):
+        assert read_json(renders / condition.key / "outcome.json")["status"] == "ok"
+        assert len(list((renders / condition.key).rglob("*.png"))) == 2
 
 
 def test_clean_renders_score_poses_edges_and_spread(folder, toy):

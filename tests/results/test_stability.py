@@ -58,6 +58,21 @@ def test_a_curve_starts_clean_and_says_what_is_lost(rows):
     assert mine["n"].tolist() == [4] * 4
 
 
+def test_every_world_has_a_floor_of_its_own(rows):
+    worlds = {"stressor": "motion", "levels": [0, 20]}
+    made = rows(
+        *CONTROLS,
+        *curve("mean-colour", None, [14.0, 18.0], **worlds),
+        *curve("mean-colour", 30.0, [30.0] * 3, dataset="elsewhere"),
+        *curve("mine", 25.0, [20, 12, 9]),
+        *curve("mine", None, [15.0, 17.0], **worlds),
+    )
+    table = make_stability_table(made, SETTINGS)
+    rates = table[table["method"] == "mine"].groupby("stressor")["failure_rate"].agg(list)
+    assert rates["support"] == [0, 0, 0, 1]  # below 10 dB
+    assert rates["motion"] == [0, 1]  # below 14, below 18
+
+
 def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):
     table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, LEVELS, wobble=1)), SETTINGS)
     row = one(table[table["level"].isna()], method="mine")
