@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # torch is imported where the field is made: configs are checked without one.
 
-STEPS_AN_IMAGE = 19
+STEPS_AN_IMAGE = 17
 CHUNK = 2048  # rays rendered at once, so that what is known of their samples stays in cache
 SOLID = 0.5  # opacity from which a pixel has a depth
 MODEL_FILE, PLACE_FILE = "field.safetensors", "place.json"

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from baselines.emernerf.adapter import STEPS_AN_IMAGE
 from geoevs.adapter import Budget, Rng, Views, make_method
 from geoevs.adapter_check import contract_failures
 from geoevs.errors import GeoEvsError
@@ -125,7 +126,7 @@ def test_a_budget_that_is_spent_before_the_fit_still_leaves_a_model(still):
     assert "0 of 4 iterations in the budget" in report.note
     _, report = fit(still, Budget(seconds=0.0), iterations=None)
     images = len(still.frames) * len(still.cameras)
-    assert f"0 of {19 * images} iterations in the budget" in report.note
+    assert f"0 of {STEPS_AN_IMAGE * images} iterations in the budget" in report.note
     assert np.isfinite(method.render(still.camera("front", 0), 0).rgb).all()
 
 
