@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.gaussians.options import FEWEST
 from baselines.gaussians.sfm import triangulate
 from geoevs.adapter import Views
 from geoevs.errors import GeoEvsError, did_you_mean
@@ -15,9 +16,6 @@ from geoevs.scenes.scene import PointCloud
 from geoevs.training import fingerprint
 
 SOURCES = ("sfm", "lidar", "random")
-
-FEWEST = 100
-"""Points that a source must give: fewer leave most of a scene without any Gaussian to grow from."""
 
 RANDOM_POINTS = 5000
 RANDOM_DEPTHS, FAR_DEPTHS = (2.0, 100.0), (50.0, 200.0)
