@@ -101,7 +101,7 @@ def train_autoencoder(
     with seeded(seed, "autoencoder"):
         autoencoder = Autoencoder(nano_autoencoder(), NANO_BLOCK)
     every = max(1, len(images) // 128)
-    some = to_tensor(images[::every])
+    some = to_tensor(images.rgb[::every])
     autoencoder.fit_linear(some)
     device = best_device()
     autoencoder.to(device)
