@@ -35,8 +35,8 @@ def fit_step(
         folder: an empty folder for the saved method.
 
     Returns:
-        Fit seconds, primitives, parameters, bytes on disk, the method's note, and whether it can
-        be asked for masked views.
+        Fit and training seconds, primitives, parameters, bytes on disk, the method's note, and
+        whether it can be asked for masked views.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
@@ -56,6 +56,7 @@ def fit_step(
     size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
     return {
         "fit_seconds": seconds,
+        "training_seconds": report.training_seconds,
         "primitives": int(report.primitives),  # often a NumPy sum, which JSON does not know
         "parameters": int(report.parameters),
         "bytes": size,
