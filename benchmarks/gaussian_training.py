@@ -16,8 +16,9 @@ from baselines.gaussians import nodes
 from baselines.gaussians.interface import Rasterization
 from baselines.gaussians.model import Gaussians
 from baselines.gaussians.nodes import Background, SceneGraph
+from baselines.gaussians.options import STRATEGIES
 from baselines.gaussians.reference import rasterize_reference
-from baselines.gaussians.training import STRATEGIES, Photo, Trainer, make_strategy
+from baselines.gaussians.training import Photo, Trainer, make_strategy
 from benchmarks.projection import processor
 from benchmarks.rasterizer import GAUSSIANS, camera, scattered_gaussians
 

@@ -82,11 +82,16 @@ class Rng:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit made: number of primitives, of learned parameters, and a note for the reader."""
+    """What a fit made: number of primitives, of learned parameters, and a note for the reader.
+
+    `training_seconds` are those of the trainings whose networks the fit was given, which are no
+    part of the fit; None where nothing was trained, or nobody knows how long.
+    """
 
     primitives: int = 0
     parameters: int = 0
     note: str = ""
+    training_seconds: float | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import io
 import json
 import math
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -89,6 +90,7 @@ def train(
     key: str,
     folder: Path,
     report: Callable[[float], None] = lambda loss: None,
+    began: float | None = None,
 ) -> nn.Module:
     """Train a task's model and return its averaged weights as a model of the same kind.
 
@@ -104,13 +106,17 @@ def train(
         folder: this training's own.
         report: called after every step with its loss, for a progress bar; with NaN for every step
             that a killed run has done.
+        began: when the task's preparation began, which `training_seconds` then holds too, on
+            `time.monotonic`'s clock; None: now.
 
     Raises:
         GeoEvsError: a loss or gradient is not finite; the last good weights are in `state.pt`.
     """
     weights = [part for name, tensor in task.model.state_dict().items() for part in (name, tensor)]
     identity = fingerprint(asdict(optimisation), seed, key, task.identity, *weights)
-    state = _TrainingState(task.model, optimisation, folder, identity)
+    state = _TrainingState(
+        task.model, optimisation, folder, identity, time.monotonic() if began is None else began
+    )
     every = max(1, optimisation.steps // CHECKPOINTS)
     shown = max(1, optimisation.steps // PREVIEWS)
     task.model.train()
@@ -138,6 +144,19 @@ def train(
     return state.averaged
 
 
+def training_seconds(folder: Path) -> float:
+    """Wall seconds that a training took until its last saving, those of killed parts among them.
+
+    They are kept in its state, because all that Snakemake knows of is the last part.
+
+    Raises:
+        GeoEvsError: the state is missing, as after `finish`, or damaged.
+    """
+    path = folder / STATE
+    with whole_file(path):
+        return torch.load(path, map_location="cpu", mmap=True, weights_only=True)["seconds"]
+
+
 def finish(folder: Path) -> None:
     """Delete a training's state once its result is kept: changed code must not find it."""
     (folder / STATE).unlink()
@@ -161,7 +180,12 @@ class _TrainingState:
     """Weights, their average, the optimiser and the losses so far; those on disk, if they fit."""
 
     def __init__(
-        self, model: nn.Module, optimisation: Optimisation, folder: Path, identity: str
+        self,
+        model: nn.Module,
+        optimisation: Optimisation,
+        folder: Path,
+        identity: str,
+        began: float,
     ) -> None:
         self.model, self.optimisation = model, optimisation
         self.averaged = copy.deepcopy(model).requires_grad_(False).eval()
@@ -174,6 +198,7 @@ class _TrainingState:
         )
         self.step = 0
         self._losses: list[dict[str, float]] = []
+        self._began, self._earlier = began, 0.0
         self.path = folder / STATE
         self._folder, self._identity = folder, identity
         if self.path.exists():
@@ -223,6 +248,7 @@ class _TrainingState:
             "averaged": self.averaged.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "losses": self._losses,
+            "seconds": self._earlier + time.monotonic() - self._began,
         }
         buffer = io.BytesIO()
         torch.save(contents, buffer)
@@ -238,6 +264,7 @@ class _TrainingState:
             self.averaged.load_state_dict(contents["averaged"])
             self._optimiser.load_state_dict(contents["optimiser"])
             self.step, self._losses = contents["step"], contents["losses"]
+            self._earlier = contents["seconds"]
 
 
 def _check_finite(what: str, value: Tensor) -> None:

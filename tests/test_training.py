@@ -19,6 +19,7 @@ from geoevs.training import (
     mixed_precision,
     seeded,
     train,
+    training_seconds,
 )
 
 STEPS = 40  # saved every second one, shown every tenth
@@ -70,9 +71,9 @@ def killer(moment):
     return report
 
 
-def run(folder, task=None, seed=0, key="k", report=lambda loss: None, **settings):
+def run(folder, task=None, seed=0, key="k", report=lambda loss: None, began=None, **settings):
     optimisation = Optimisation(STEPS, 0.1, **settings)
-    return train(task or LineTask(), optimisation, seed, key, folder, report)
+    return train(task or LineTask(), optimisation, seed, key, folder, report, began)
 
 
 def contents(folder):
@@ -164,7 +165,9 @@ def test_a_finished_training_is_not_repeated(tmp_path):
 @pytest.mark.parametrize(
     "other", [{"seed": 1}, {"key": "other"}, {"task": LineTask("other")}, {"warmup": 0.2}]
 )
-def test_another_training_starts_over(tmp_path, other):
+def test_another_training_starts_over(tmp_path, other, monkeypatch):
+    clock = iter(range(10**6))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
     first = run(tmp_path / "shared")
     (tmp_path / "shared/previews/000005.png").write_bytes(b"of a longer one")
     second = run(tmp_path / "shared", **other)
@@ -175,6 +178,30 @@ def test_another_training_starts_over(tmp_path, other):
     alone = run(tmp_path / "alone", **other)
     assert torch.equal(second.slope, alone.slope)
     assert contents(tmp_path / "shared") == contents(tmp_path / "alone")
+    assert training_seconds(tmp_path / "shared") == training_seconds(tmp_path / "alone")
+
+
+def test_seconds_are_those_of_all_parts_that_were_kept(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+
+    def tick(then=lambda loss: None):
+        def report(loss):
+            if not math.isnan(loss):
+                clock[0] += 1
+            then(loss)
+
+        return report
+
+    with pytest.raises(Killed):  # when six steps were saved
+        run(tmp_path, report=tick(killer(7)), began=90.0)
+    assert training_seconds(tmp_path) == 10 + 6
+    clock[0] = 500.0
+    run(tmp_path, report=tick(), began=480.0)
+    assert training_seconds(tmp_path) == 10 + 20 + STEPS
+    finish(tmp_path)
+    with pytest.raises(GeoEvsError, match=r"state.pt is missing"):
+        training_seconds(tmp_path)
 
 
 def test_other_first_weights_are_another_training(tmp_path):

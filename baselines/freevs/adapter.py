@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.generator.trained import asked_options, link_trained, read_trained
+from geoevs.generator.trained import asked_options, link_trained, read_trained, trained_seconds
 from geoevs.io import read_json, write_json
 from geoevs.scenes.camera import Camera
 
@@ -61,7 +61,8 @@ class Method:
             notes.append("no tracks: what moves is smeared")
         if len(views.frames) == 1:
             notes.append("one frame: no neighbours' points, and its clip repeats it")
-        return FitReport(self._sweeps.count, parameters, "; ".join(notes))
+        seconds = trained_seconds(Path(self.weights))
+        return FitReport(self._sweeps.count, parameters, "; ".join(notes), seconds)
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Generate the clip around the view; `support` and `depth` are its pseudo-image's."""

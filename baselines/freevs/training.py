@@ -1,5 +1,6 @@
 """Training FreeVS: denoise clips of recorded views from their pseudo-images."""
 
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -68,11 +69,12 @@ def train_freevs(
         GeoEvsError: the prior is not on the machine, no scene is as long as a clip, the images do
             not divide into latents, or the training diverged.
     """
+    began = time.monotonic()
     prior = load_prior(settings.prior, weights)
     prior.autoencoder.to(best_device())
     task = FreeVSTask(prior, clips, settings, seed)
     optimisation = Optimisation(settings.steps, settings.learning_rate)
-    model = train(task, optimisation, seed, "freevs", work, report)
+    model = train(task, optimisation, seed, "freevs", work, report, began)
     return ClipGenerator(prior.autoencoder, model)
 
 

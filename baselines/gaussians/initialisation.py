@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from baselines.gaussians.options import FEWEST
 from baselines.gaussians.sfm import triangulate
 from geoevs.adapter import Views
 from geoevs.code_hash import code_hash
@@ -17,9 +18,6 @@ from geoevs.scenes.scene import PointCloud
 from geoevs.training import fingerprint
 
 SOURCES = ("sfm", "lidar", "sfm and lidar", "random")
-
-FEWEST = 100
-"""Points that a source must give: fewer leave most of a scene without any Gaussian to grow from."""
 
 RANDOM_POINTS = 5000
 RANDOM_DEPTHS, FAR_DEPTHS = (2.0, 100.0), (50.0, 200.0)

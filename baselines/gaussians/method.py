@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from baselines.gaussians.options import FEWEST, check_densification, check_least
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
 from geoevs.io import read_arrays, write_arrays
 from geoevs.progress import training_bar
 from geoevs.scenes.camera import Camera
@@ -35,10 +35,13 @@ class GaussianMethod:
     Args:
         iterations: optimiser steps; None: STEPS_A_PHOTOGRAPH for each. A budget of seconds may end
             the fit earlier.
-        gaussians: how many the background has; None: as few as the scene needs.
+        gaussians: how many the background has, FEWEST or more; None: as few as the scene needs.
         densification: `mcmc` or `gradient`.
         sfm_cache: a folder that keeps the points of SfM for other fits to the same views, whose
             seconds are then without it, as their notes say.
+
+    Raises:
+        GeoEvsError: an option has no such value.
     """
 
     info: ClassVar[MethodInfo]
@@ -49,10 +52,9 @@ class GaussianMethod:
     _graph: "SceneGraph" = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("iterations", "gaussians"):
-            value = getattr(self, name)
-            if value is not None and not value >= 1:
-                raise GeoEvsError(f"the option '{name}' is {value}; make it 1 or more")
+        check_least("iterations", self.iterations, 1)
+        check_least("gaussians", self.gaussians, FEWEST)
+        check_densification(self.densification)
 
     def _train(
         self,

@@ -16,9 +16,10 @@ from baselines.gaussians.densification import (
 from baselines.gaussians.loss import photometric_loss
 from baselines.gaussians.nodes import Drawn, SceneGraph
 from baselines.gaussians.optimiser import EPSILON, MEANS_DECAY, Optimiser
+from baselines.gaussians.options import check_densification
 from baselines.gaussians.size import SizeChoice
 from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 EXTRA_RATES = {"shifts": 5e-3, "turns": 1e-3, "colours": 1e-2}
@@ -34,8 +35,6 @@ SHORTEST_ROUND = 10
 """Steps: what was just split is faint, and a short training would split it again and again."""
 
 RESETS = 10
-
-STRATEGIES = ("mcmc", "gradient")
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,12 @@ def make_strategy(name: str, cap: int, steps: int) -> Strategy:
     Raises:
         GeoEvsError: there is no such strategy.
     """
+    check_densification(name)
     start, stop = round(GROWTH_START * steps), round(GROWTH_STOP * steps)
     schedule = Schedule(start, stop, max(SHORTEST_ROUND, steps // GROWTH_ROUNDS))
     if name == "mcmc":
         return MCMCStrategy(cap, schedule)
-    if name == "gradient":
-        return GradientStrategy(cap, schedule, reset_every=max(1, steps // RESETS))
-    raise GeoEvsError(f"there is no densification '{name}'; {did_you_mean(name, STRATEGIES)}")
+    return GradientStrategy(cap, schedule, reset_every=max(1, steps // RESETS))
 
 
 OwnLoss = Callable[[SceneGraph, Photo, Drawn, float], Tensor | float]

@@ -42,9 +42,10 @@ def train_freevs(
     from baselines.freevs.clips import read_clips
     from baselines.freevs.training import TrainingSettings
     from baselines.freevs.training import train_freevs as train
+    from geoevs.generator.trained import seconds_file
     from geoevs.io import new_folder, write_json
     from geoevs.plugins import check_options
-    from geoevs.training import finish
+    from geoevs.training import finish, training_seconds
 
     parsed = parse_json("--settings", settings)
     check_options("--settings", TrainingSettings, parsed)
@@ -54,5 +55,6 @@ def train_freevs(
             generator = train(wanted, data, weights, seed, work, report)
         with new_folder(out) as partial:
             generator.save(partial)
+            write_json(seconds_file(partial), {"training": training_seconds(work)})
             write_json(partial / "settings.json", {"sampling": wanted.sampling})
         finish(work)

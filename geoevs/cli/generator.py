@@ -39,10 +39,11 @@ def train(
     """
     from geoevs.conditions.masks import read_masks
     from geoevs.conditions.pairs import read_pairs
+    from geoevs.generator.trained import seconds_file, trained_seconds
     from geoevs.generator.training import TrainingSettings, train_geo_evs
     from geoevs.io import link_file, new_folder, write_json
     from geoevs.plugins import check_options
-    from geoevs.training import finish
+    from geoevs.training import finish, training_seconds
 
     parsed = parse_json("--settings", settings)
     check_options("--settings", TrainingSettings, parsed)
@@ -57,10 +58,13 @@ def train(
             )
         with new_folder(out) as partial:
             generator.save(partial)
+            seconds = {"training": training_seconds(work)}
             if geometry_weights is not None:
                 link_file(geometry_weights, partial / "geometry.safetensors")
-            made_with = {"geometry": geometry, "sampling": wanted.sampling}
-            write_json(partial / "settings.json", made_with)
+                seconds["geometry"] = trained_seconds(geometry_weights) or 0.0
+            write_json(seconds_file(partial), seconds)
+            made_with = {"timesteps": wanted.timesteps, "sampling": wanted.sampling}
+            write_json(partial / "settings.json", {"geometry": geometry, **made_with})
         finish(work)
 
 
@@ -101,7 +105,7 @@ def train_autoencoder(
     with seeded(seed, "autoencoder"):
         autoencoder = Autoencoder(nano_autoencoder(), NANO_BLOCK)
     every = max(1, len(images) // 128)
-    some = to_tensor(images[::every])
+    some = to_tensor(images.rgb[::every])
     autoencoder.fit_linear(some)
     device = best_device()
     autoencoder.to(device)

@@ -36,14 +36,19 @@ def train_geometry(
     half: Annotated[bool, typer.Option("--half", help="Store weights as float16.")] = False,
     seed: Seed = 0,
 ) -> None:
-    """Fine-tune VGGT on driving scenes, or train a nano one from scratch."""
+    """Fine-tune VGGT on driving scenes, or train a nano one from scratch.
+
+    How many seconds that took is written beside the weights, as `<name>.seconds.json`.
+    """
     import torch
 
     from geoevs.adapter import Rng
+    from geoevs.generator.trained import seconds_file
     from geoevs.geometry.finetuning import read_depth_frames, train_vggt
     from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
+    from geoevs.io import write_json
     from geoevs.network_files import best_device
-    from geoevs.training import Optimisation, finish
+    from geoevs.training import Optimisation, finish, training_seconds
 
     model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
     frames = read_depth_frames(scenes or [], depths or [], model.config)
@@ -55,6 +60,7 @@ def train_geometry(
     with training_bar("VGGT", steps) as report:
         optimisation = Optimisation(steps, learning_rate)
         trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
+    write_json(seconds_file(out), {"training": training_seconds(work)})
     save_vggt(trained, out, torch.float16 if half else torch.float32)
     finish(work)
 

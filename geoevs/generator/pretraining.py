@@ -4,7 +4,7 @@ They stand in for Stable Diffusion's where its weights are not on the machine.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,23 +24,34 @@ from geoevs.training import fingerprint, mixed_precision
 KL_WEIGHT = 1e-5
 
 
-def read_images(scenes: Sequence[Path]) -> np.ndarray:
-    """(N, H, W, 3) uint8: every image of scenes.
+@dataclass(frozen=True)
+class Images:
+    """Images to pretrain on."""
+
+    rgb: np.ndarray  # [N, H, W, 3] uint8
+    names: list[str]  # scene/camera/frame
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+
+def read_images(scenes: Sequence[Path]) -> Images:
+    """Every image of scenes.
 
     Raises:
         GeoEvsError: their resolutions differ.
     """
-    images = [
-        to_uint8(scene.image(camera, frame))
-        for scene in map(Scene, scenes)
-        for frame in scene.frames
-        for camera in scene.cameras
-    ]
+    images, names = [], []
+    for scene in map(Scene, scenes):
+        for frame in scene.frames:
+            for camera in scene.cameras:
+                images.append(to_uint8(scene.image(camera, frame)))
+                names.append(f"{scene.info.name}/{camera}/{frame}")
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
         found = ", ".join(f"{height} x {width}" for height, width in sizes)
         raise GeoEvsError(f"scenes differ in resolution ({found}); train on those of one")
-    return np.stack(images)
+    return Images(np.stack(images), names)
 
 
 class AutoencoderTask:
@@ -48,7 +59,7 @@ class AutoencoderTask:
 
     Args:
         model: what is trained.
-        images: (N, H, W, 3) uint8.
+        images: on what.
         batch: crops a step.
         crop: their height and width.
 
@@ -57,20 +68,21 @@ class AutoencoderTask:
     """
 
     def __init__(
-        self, model: Autoencoder, images: np.ndarray, batch: int, crop: tuple[int, int]
+        self, model: Autoencoder, images: Images, batch: int, crop: tuple[int, int]
     ) -> None:
-        height, width = images.shape[1:3]
+        height, width = images.rgb.shape[1:3]
         if crop[0] > height or crop[1] > width:
             raise GeoEvsError(
                 f"crops of {crop[0]} x {crop[1]} do not fit into images of {height} x {width}; "
                 "choose a smaller crop"
             )
-        self.model, self._images, self._batch, self._crop = model, images, batch, crop
-        self.identity = fingerprint(batch, crop, images)
+        self.model, self._batch, self._crop = model, batch, crop
+        self._images, self._names = images.rgb, images.names
+        self.identity = fingerprint(batch, crop, images.rgb)
 
     def batch(self, rng: Rng) -> list[str]:
-        """The images of one batch, counted in the order that they were read."""
-        return [f"image {number}" for number in _pick(self._images, self._batch, rng.numpy)]
+        """The images of one batch, as scene/camera/frame."""
+        return [self._names[number] for number in _pick(self._images, self._batch, rng.numpy)]
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """Losses of one batch of crops, half of them mirrored."""
@@ -102,7 +114,7 @@ class PriorTask:
         model: a denoiser without a condition encoder.
         autoencoder: frozen.
         diffusion: the process.
-        images: (N, H, W, 3) uint8.
+        images: on what.
         batch: images a step, half of them mirrored.
     """
 
@@ -111,19 +123,20 @@ class PriorTask:
         model: Denoiser,
         autoencoder: Autoencoder,
         diffusion: Diffusion,
-        images: np.ndarray,
+        images: Images,
         batch: int,
     ) -> None:
-        self.model, self._images, self._batch = model, images, batch
+        self.model, self._batch = model, batch
+        self._images, self._names = images.rgb, images.names
         self._autoencoder, self._diffusion = autoencoder, diffusion
-        both_ways = images, images[:, :, ::-1]
+        both_ways = images.rgb, images.rgb[:, :, ::-1]
         self._latents = torch.stack([encode_images(autoencoder, shown) for shown in both_ways])
         frozen = autoencoder.state_dict().values()
-        self.identity = fingerprint(batch, asdict(diffusion), images, *frozen)
+        self.identity = fingerprint(batch, asdict(diffusion), images.rgb, *frozen)
 
     def batch(self, rng: Rng) -> list[str]:
-        """The images of one batch, counted in the order that they were read."""
-        return [f"image {number}" for number in _pick(self._images, self._batch, rng.numpy)]
+        """The images of one batch, as scene/camera/frame."""
+        return [self._names[number] for number in _pick(self._images, self._batch, rng.numpy)]
 
     def losses(self, rng: Rng) -> dict[str, Tensor]:
         """The denoising loss of one batch."""

@@ -23,6 +23,20 @@ def read_trained(folder: Path) -> dict[str, Any]:
     return read_json(folder / "settings.json")
 
 
+def seconds_file(networks: Path) -> Path:
+    """What says how long networks, a folder or one file, were trained.
+
+    It lies beside them and not in their settings, because no two trainings share it.
+    """
+    return networks / "seconds.json" if networks.is_dir() else networks.with_suffix(".seconds.json")
+
+
+def trained_seconds(networks: Path) -> float | None:
+    """Wall seconds of all trainings that made networks; None where nothing says so."""
+    path = seconds_file(networks)
+    return sum(read_json(path).values()) if path.exists() else None
+
+
 def asked_options(method: object, names: Iterable[str]) -> dict[str, Any]:
     """A method's own values of options that are None where its training's are to be taken."""
     options = {name: getattr(method, name) for name in names}

@@ -1,5 +1,6 @@
 """Training Geo-EVS: denoise targets from artifact-injected condition maps (sections 3.3, 3.4)."""
 
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -37,7 +38,8 @@ class TrainingSettings:
         prior: the weights to start from (see `load_prior`).
         prediction, schedule: of the diffusion process; None keeps the prior's.
         timesteps: the ones to learn, `uniform` (all) or `sampled`, those that `sampling` visits: a
-            training for few steps spends nothing on others, but sampling with more then fails.
+            training for few steps spends nothing on others, and sampling that visits more is then
+            refused.
         steps, batch, learning_rate: of the optimiser; AdamW's peak rate (the paper's is 1e-4).
         drop: share of conditions replaced by the null condition.
         encoder: E_geo, `trained` or `frozen`.
@@ -90,6 +92,7 @@ def train_geo_evs(
         GeoEvsError: the prior is not on the machine, the images do not divide into latents, a
             setting does not exist, or the training diverged.
     """
+    began = time.monotonic()
     injection = ArtifactInjection(
         settings.masks, settings.probability, *pairs.target.shape[1:3], library
     )
@@ -101,7 +104,7 @@ def train_geo_evs(
     prior.autoencoder.to(device)
     task = GeoEvsTask(prior, pairs, injection, settings, seed)
     optimisation = Optimisation(settings.steps, settings.learning_rate)
-    model = train(task, optimisation, seed, "geo-evs", work, report)
+    model = train(task, optimisation, seed, "geo-evs", work, report, began)
     return Generator(prior.autoencoder, model, prior.diffusion)
 
 

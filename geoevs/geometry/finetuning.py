@@ -38,6 +38,7 @@ class DepthFrames:
 
     images: np.ndarray  # [F, V, H, W, 3] uint8
     depths: np.ndarray  # [F, V, H, W] float16 metres, 0 = unknown
+    names: list[str]  # scene/frame
 
     def __len__(self) -> int:
         return len(self.images)
@@ -88,7 +89,7 @@ def read_depth_frames(
             f"there are {len(scenes)} scenes and {len(depths)} folders of true depth; give one for "
             "each scene, or none"
         )
-    images, known = [], []
+    images, known, names = [], [], []
     for folder, truth in zip(scenes, depths or [None] * len(scenes), strict=True):
         scene = Scene(folder)
         for frame in scene.frames:
@@ -105,6 +106,7 @@ def read_depth_frames(
             known.append(
                 [_dense(dense[c.name], c) if dense else _sparse(points, c) for c in cameras]
             )
+            names.append(f"{scene.info.name}/{frame}")
     if not images:
         raise GeoEvsError("there are no frames to learn depth from; name scenes in the config")
     shapes = {np.shape(views) for views in images}
@@ -113,7 +115,7 @@ def read_depth_frames(
             f"scenes differ in their views ({', '.join(map(str, sorted(shapes)))}); train on those "
             "of one rig and resolution"
         )
-    return DepthFrames(np.array(images), np.array(known, np.float16))
+    return DepthFrames(np.array(images), np.array(known, np.float16), names)
 
 
 def _dense(depth: np.ndarray, camera: Camera) -> np.ndarray:
@@ -140,8 +142,8 @@ class GeometryTask:
         self.identity = fingerprint(batch, frames.images, frames.depths)
 
     def batch(self, rng: Rng) -> list[str]:
-        """The frames of one batch, counted in the order that they were read."""
-        return [f"frame {number}" for number in self._pick(rng)]
+        """The frames of one batch, as scene/frame."""
+        return [self._frames.names[number] for number in self._pick(rng)]
 
     def _pick(self, rng: Rng) -> np.ndarray:
         return rng.numpy.integers(len(self._frames), size=self._batch)

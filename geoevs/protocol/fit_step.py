@@ -37,9 +37,9 @@ def fit_step(
         folder: an empty folder for the saved method.
 
     Returns:
-        Fit seconds without those of compilation, primitives, parameters, bytes on disk, a note, the
-        method's and ours on compilation, whether it can be asked for masked views, and whether it
-        is random.
+        Fit seconds without those of compilation, training seconds, primitives, parameters, bytes
+        on disk, a note, the method's and ours on compilation, whether it can be asked for masked
+        views, and whether it is random.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
@@ -60,6 +60,7 @@ def fit_step(
         notes.append(f"kernels compiled in {spent.compiling:.1f} s, not counted")
     return {
         "fit_seconds": spent.seconds,
+        "training_seconds": report.training_seconds,
         "primitives": int(report.primitives),  # often a NumPy sum, which JSON does not know
         "parameters": int(report.parameters),
         "bytes": size,

@@ -43,6 +43,7 @@ COST_TYPES = {
     "seed": "int64",
     "sources": "string",
     "fit_seconds": "float64",
+    "training_seconds": "float64",
     "render_seconds": "float64",
     "peak_memory": "int64",
     "gpu_memory": "int64",

@@ -205,6 +205,7 @@ def cost_rows(entry: MethodEntry, renders: Path, common: dict) -> list[dict[str,
     """What the method cost on this scene, one row for every set of sources."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
+        "training_seconds": math.nan,
         "render_seconds": math.nan,
         "note": "",
     }

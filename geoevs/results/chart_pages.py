@@ -74,6 +74,7 @@ def draw_page(name: str, table: pd.DataFrame, settings: dict[str, Any]) -> alt.V
     if rows:  # one panel holds the selection that all share
         rows[0].hconcat[0] = rows[0].hconcat[0].add_params(CHOSEN)
     title = f"{spec.title}. Dashed: the frontier, what nothing beats in both; bars: intervals."
+    title += " Fit seconds are without the training of networks (see tables/costs)."
     page = alt.vconcat(*rows, title=title).resolve_scale(color="shared", shape="shared")
     return page.configure_view(stroke="#ddd").configure_axis(gridColor="#eee")
 

@@ -9,6 +9,7 @@ from geoevs.results.tables import display_name, is_control
 
 COLUMNS = {
     "fit_seconds": "fit s",
+    "training_seconds": "training s, once a run",
     "render_seconds": "render s / view",
     "peak_memory_mb": "peak memory MB",
     "gpu_memory_mb": "GPU memory MB",
@@ -16,6 +17,14 @@ COLUMNS = {
     "parameters": "parameters",
     "size_mb": "on disk MB",
 }
+LEGEND = """Means over n fits; *controls* in italics. `fit s` = seconds for one scene, with networks
+that were trained before; `training s` = seconds that the run trained those networks for, the depth
+network's fine-tuning among them: once for all scenes, and in no `fit s`. Empty = nothing is
+trained, or nobody timed it; what starting weights took before the run does not count. Memory = the
+peak of fitting and rendering. `primitives` = Gaussians, or what the row's note says; 0 = none.
+`parameters` = learned values, those of networks among them. `on disk` = a fitted scene, with all
+that rendering it needs. `failed` = fits without a result; no mean holds them.
+"""
 
 
 def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
@@ -23,7 +32,7 @@ def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         A row for every data set, method and variant, in the rows' order: the keys of COLUMNS,
-        `n` fits, `failed` fits, `device` and `threads`.
+        `n` fits, `failed` fits, `device`, `threads` and `note`, what the methods said of the fits.
     """
     rows = costs[costs["sources"] == ALL_CAMERAS].assign(
         peak_memory_mb=costs["peak_memory"] / 1e6,
@@ -41,22 +50,34 @@ def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
                 "failed": len(group) - len(fine),
                 "device": " ".join(sorted(fine["device"].unique())),
                 "threads": group["threads"].max(),
+                "note": _joined_notes(fine),
             }
         )
     return pd.DataFrame(table)
 
 
+def _joined_notes(fits: pd.DataFrame) -> str:
+    """The one note of all fits; where they differ, each distinct one behind its scenes."""
+    scenes = fits.groupby("note", sort=False)["scene"].unique()
+    if len(scenes) == 1:
+        return scenes.index[0]
+    return " | ".join(f"{', '.join(where)}: {note}" for note, where in scenes.items() if note)
+
+
 def cost_markdown(table: pd.DataFrame) -> str:
-    """The cost table for people; controls in italics."""
+    """The cost table for people: controls in italics, notes below it, and a legend."""
     header = ["method", *COLUMNS.values(), "device", "threads", "n", "failed"]
     parts = ["# Costs (mean over scenes, all cameras as sources)\n"]
     for dataset, rows in table.groupby("dataset", sort=False):
-        body = []
+        body, noted = [], {}
         for row in rows.to_dict("records"):
             name = display_name(row["method"], row["variant"])
             cells = [f"*{name}*" if is_control(row["method"]) else name]
             cells += ["" if pd.isna(row[key]) else f"{row[key]:.4g}" for key in COLUMNS]
             cells += [str(row[key]) for key in ("device", "threads", "n", "failed")]
             body.append(cells)
+            noted.setdefault(row["note"], []).append(cells[0])
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
-    return "\n".join(parts)
+        notes = [f"- {', '.join(names)}: {note}\n" for note, names in noted.items() if note]
+        parts += ["".join(notes)] if notes else []
+    return "\n".join([*parts, LEGEND])

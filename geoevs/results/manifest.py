@@ -112,6 +112,22 @@ def hash_path(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def cached_repository(name: str) -> str:
+    """Hash of a repository in Hugging Face's cache; `missing` where it is not there.
+
+    Files there are links to what is named by its content, so that nothing is read.
+    """
+    from huggingface_hub import snapshot_download
+
+    try:
+        folder = Path(snapshot_download(name, local_files_only=True))
+    except (OSError, ValueError):  # not there; no repository's name
+        return "missing"
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    listed = [[file.relative_to(folder).as_posix(), file.resolve().name] for file in files]
+    return hashlib.sha256(json.dumps(listed).encode()).hexdigest()
+
+
 def _versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
 

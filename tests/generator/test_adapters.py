@@ -20,7 +20,9 @@ def trained(networks, tmp_path):
     folder = tmp_path / "trained"
     folder.mkdir()
     networks.generator(block=5).save(folder)
-    write_json(folder / "settings.json", {"geometry": "lidar", "sampling": {"steps": 2}})
+    made_with = {"geometry": "lidar", "timesteps": "uniform", "sampling": {"steps": 2}}
+    write_json(folder / "settings.json", made_with)
+    write_json(folder / "seconds.json", {"training": 100.0, "geometry": 46.0})
     return folder
 
 
@@ -87,6 +89,23 @@ def test_a_wrong_option_is_found_when_it_is_fitted(fitted):
         fitted(sampler="ddmi")
 
 
+def test_timesteps_that_were_not_trained_are_refused(fitted, trained):
+    made_with = {"geometry": "lidar", "timesteps": "sampled", "sampling": {"steps": 2}}
+    write_json(trained / "settings.json", made_with)
+    assert fitted(guidance=2.0)._sampling.guidance == 2.0
+    assert fitted(steps=1)._sampling.steps == 1  # one of the two
+    sentence = (
+        f"{trained} was trained at the 2 timesteps of sampling with steps=2 and sampler=ddim "
+        "alone, and steps=3 with sampler=ddim visits others; set `timesteps: uniform` in its "
+        "training section, or drop the options steps and sampler"
+    )
+    with pytest.raises(GeoEvsError, match=f"^{re.escape(sentence)}$"):
+        fitted(steps=3)
+    made_with["timesteps"] = "uniform"
+    write_json(trained / "settings.json", made_with)
+    assert fitted(steps=3)._sampling.steps == 3
+
+
 def test_saved_scenes_share_the_weights(fitted, trained, tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
@@ -109,6 +128,12 @@ def test_costs_count_source_pixels_and_weights(fitted):
     assert method.report.primitives == sum(np.count_nonzero(depth) for depth in depths) > 1000
     networks = method._generator.autoencoder, method._generator.denoiser
     assert method.report.parameters == sum(p.numel() for n in networks for p in n.parameters())
+
+
+def test_costs_hold_the_training_that_was_timed(fitted, trained):
+    assert fitted().report.training_seconds == 146.0
+    (trained / "seconds.json").unlink()
+    assert fitted().report.training_seconds is None
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from dataclasses import asdict
 
 import pytest
@@ -16,8 +17,9 @@ from geoevs.generator import autoencoder as autoencoders
 from geoevs.generator import denoiser as denoisers
 from geoevs.generator.generator import Generator
 from geoevs.generator.prior import load_prior
+from geoevs.generator.trained import trained_seconds
 from geoevs.generator.training import TrainingSettings
-from geoevs.io import read_json
+from geoevs.io import read_json, write_json
 from geoevs.network_files import read_network
 from geoevs.scenes.tiny import write_tiny_scene
 
@@ -84,16 +86,31 @@ def test_training_writes_all_that_renders_need(train, tmp_path):
         "autoencoder.safetensors",
         "denoiser.safetensors",
         "geometry.safetensors",
+        "seconds.json",
         "settings.json",
     ]
     assert read_json(out / "settings.json") == {
         "geometry": "lidar",
+        "timesteps": SETTINGS["timesteps"],
         "sampling": {"steps": 2, "guidance": 1.5},
     }
+    assert read_json(out / "seconds.json")["geometry"] == 0.0  # nothing says how long it took
     assert (out / "geometry.safetensors").read_bytes() == b"weights"
     assert Generator.load(out).autoencoder.factor == 2
     # Finished, it leaves nothing that changed code could take up.
     assert sorted(path.name for path in (tmp_path / "work").iterdir()) == ["losses.csv", "previews"]
+
+
+def test_training_seconds_are_those_of_all_networks(train, tmp_path):
+    geometry = tmp_path / "vggt.safetensors"
+    geometry.write_bytes(b"weights")
+    write_json(tmp_path / "vggt.seconds.json", {"training": 46.0})
+    start = time.monotonic()
+    assert train("--geometry-weights", geometry)[0] == 0
+    seconds = read_json(tmp_path / "out/seconds.json")
+    assert seconds["geometry"] == 46.0
+    assert 0 < seconds["training"] < time.monotonic() - start
+    assert trained_seconds(tmp_path / "out") == sum(seconds.values())
 
 
 def test_the_same_seed_trains_the_same_bytes(train, tmp_path):

@@ -15,7 +15,13 @@ from geoevs.generator.autoencoder import to_tensor
 from geoevs.generator.condition import FrozenEncoder
 from geoevs.generator.diffusion import TIMESTEPS, Diffusion
 from geoevs.generator.generator import Generator, Sampling
-from geoevs.generator.pretraining import AutoencoderTask, PriorTask, random_crops, read_images
+from geoevs.generator.pretraining import (
+    AutoencoderTask,
+    Images,
+    PriorTask,
+    random_crops,
+    read_images,
+)
 from geoevs.generator.training import (
     GeoEvsTask,
     TrainingSettings,
@@ -335,8 +341,13 @@ def test_images_that_do_not_divide_are_refused(make, pairs, networks):
         GeoEvsTask(networks.prior(), odd, injection, SETTINGS, 0)
 
 
+def named(rgb):
+    return Images(rgb, [f"scene/front/{n}" for n in range(len(rgb))])
+
+
 def test_an_autoencoder_learns(networks, tmp_path):
-    task = AutoencoderTask(networks.autoencoder(), networks.images(6, seed=1), 4, (8, 8))
+    images = named(networks.images(6, seed=1))
+    task = AutoencoderTask(networks.autoencoder(), images, 4, (8, 8))
     first = mean_loss(task)
     train(task, Optimisation(40, 3e-3, weight_decay=0.0), 0, "autoencoder", tmp_path)
     assert mean_loss(task) < 0.85 * first
@@ -345,10 +356,11 @@ def test_an_autoencoder_learns(networks, tmp_path):
 
 def test_a_prior_learns(networks, tmp_path):
     prior = networks.prior()
-    task = PriorTask(
-        prior.denoiser, prior.autoencoder, prior.diffusion, networks.images(6, seed=1), 4
-    )
+    images = named(networks.images(6, seed=1))
+    task = PriorTask(prior.denoiser, prior.autoencoder, prior.diffusion, images, 4)
     first = mean_loss(task)
+    picked = rng().numpy.integers(6, size=4)
+    assert task.batch(rng()) == [f"scene/front/{n}" for n in picked]
     train(task, Optimisation(40, 1e-2), 0, "prior", tmp_path)
     assert mean_loss(task) < 0.85 * first
     assert task.preview(task.model).shape == (2 * 16, 4 * 24, 3)
@@ -356,7 +368,7 @@ def test_a_prior_learns(networks, tmp_path):
 
 def test_crops_are_parts_of_images_some_of_them_mirrored(networks):
     images = np.arange(2 * 6 * 8 * 3, dtype=np.uint8).reshape(2, 6, 8, 3)
-    task = AutoencoderTask(networks.autoencoder(), images, 12, (4, 2))
+    task = AutoencoderTask(networks.autoencoder(), named(images), 12, (4, 2))
     crops = random_crops(images, 12, (4, 2), rng().numpy)
     parts = {
         images[n, top : top + 4, left : left + 2][:, ::flip].tobytes(): (n, flip)
@@ -367,7 +379,7 @@ def test_crops_are_parts_of_images_some_of_them_mirrored(networks):
     }
     found = np.rint(crops.numpy().transpose(0, 2, 3, 1) * 255).astype(np.uint8)
     places = [parts[crop.tobytes()] for crop in found]
-    assert task.batch(rng()) == [f"image {n}" for n, _ in places]
+    assert task.batch(rng()) == [f"scene/front/{n}" for n, _ in places]
     assert {flip for _, flip in places} == {1, -1}
     assert len(set(map(bytes, found))) > 6
 
@@ -375,8 +387,8 @@ def test_crops_are_parts_of_images_some_of_them_mirrored(networks):
 def test_crops_must_fit(networks):
     sentence = r"^crops of 24 x 24 do not fit into images of 16 x 24; choose a smaller crop$"
     with pytest.raises(GeoEvsError, match=sentence):
-        AutoencoderTask(networks.autoencoder(), networks.images(2), 4, (24, 24))
-    task = AutoencoderTask(networks.autoencoder(block=4), networks.images(2), 4, (10, 10))
+        AutoencoderTask(networks.autoencoder(), named(networks.images(2)), 4, (24, 24))
+    task = AutoencoderTask(networks.autoencoder(block=4), named(networks.images(2)), 4, (10, 10))
     with pytest.raises(GeoEvsError, match=r"^images of 10 x 10 do not divide .* multiples of 4$"):
         task.losses(rng())
 
@@ -384,6 +396,8 @@ def test_crops_must_fit(networks):
 def test_images_of_scenes_are_read_in_order(tmp_path):
     scene = write_tiny_scene(tmp_path / "a")
     images = read_images([scene.folder, scene.folder])
-    assert images.shape == (12, HEIGHT, WIDTH, 3)
-    np.testing.assert_array_equal(images[:6], images[6:])
-    np.testing.assert_allclose(images[4] / 255, scene.image(scene.cameras[1], 1), atol=1e-6)
+    assert images.rgb.shape == (12, HEIGHT, WIDTH, 3)
+    np.testing.assert_array_equal(images.rgb[:6], images.rgb[6:])
+    np.testing.assert_allclose(images.rgb[4] / 255, scene.image(scene.cameras[1], 1), atol=1e-6)
+    assert images.names[:6] == images.names[6:]
+    assert images.names[4] == f"{scene.info.name}/{scene.cameras[1]}/1"

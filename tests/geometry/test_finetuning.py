@@ -14,7 +14,7 @@ from geoevs.cli import main as cli
 from geoevs.errors import GeoEvsError
 from geoevs.geometry.finetuning import FAR, read_depth_frames
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
-from geoevs.io import write_arrays
+from geoevs.io import read_json, write_arrays
 from geoevs.network_files import read_network
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
@@ -134,6 +134,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(train, small_vggt, tmp_path
     logs = [(tmp_path / work / "losses.csv").read_text() for work in ("work", "killed")]
     assert logs[0] == logs[1]
     assert logs[0].count("\n") == 7
+    assert read_json(tmp_path / "resumed.seconds.json")["training"] > 0
     # Finished, it leaves nothing that other code could take up.
     assert not (tmp_path / "killed/state.pt").exists()
     assert list((tmp_path / "killed/previews").iterdir())

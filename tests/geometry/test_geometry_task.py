@@ -1,5 +1,7 @@
 """What one step of VGGT's training sees."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -40,7 +42,8 @@ def frames():
     rng = np.random.default_rng(0)
     images = rng.integers(40, 180, (5, 4, 8, 12, 3)).astype(np.uint8)
     images[..., 2] = 10 * np.arange(5)[:, None, None, None] + np.arange(4)[:, None, None]
-    return DepthFrames(images, (images[..., 0] / 10).astype(np.float16))
+    names = [f"scene/{frame}" for frame in range(5)]
+    return DepthFrames(images, (images[..., 0] / 10).astype(np.float16), names)
 
 
 def losses(frames, step, batch=2, depth=10.0):
@@ -68,7 +71,7 @@ def test_images_and_depths_are_mirrored_and_dimmed_together(frames, monkeypatch)
         exposures.add(round(exposure, 3))
         blue = np.rint(seen[:, :, 2].numpy() * 255 / exposure)
         number, view = divmod(blue[:, :, 0, 0], 10)
-        assert task.batch(Rng(0, str(step))) == [f"frame {n:.0f}" for n in number[:, 0]]
+        assert task.batch(Rng(0, str(step))) == [f"scene/{n:.0f}" for n in number[:, 0]]
         assert all(len(set(views)) == VIEWS for views in view)
         plain = frames.images[int(number[0, 0]), int(view[0, 0]), ..., 0] / 255 * exposure
         same, flipped = (
@@ -81,13 +84,14 @@ def test_images_and_depths_are_mirrored_and_dimmed_together(frames, monkeypatch)
 
 
 def test_the_relative_error_is_of_known_pixels(frames):
-    known = DepthFrames(frames.images, np.where(frames.depths > 10, np.float16(8), np.float16(0)))
+    known = np.where(frames.depths > 10, np.float16(8), np.float16(0))
+    known = dataclasses.replace(frames, depths=known)
     _, _, found = losses(known, 0)
     assert found["relative_error"].item() == pytest.approx(0.25)
 
 
 def test_views_without_a_known_pixel_stop_nothing(frames):
-    unknown = DepthFrames(frames.images, np.zeros_like(frames.depths))
+    unknown = dataclasses.replace(frames, depths=np.zeros_like(frames.depths))
     _, _, found = losses(unknown, 0)
     assert {name: value.item() for name, value in found.items()} == {
         "loss": 0.0,
@@ -96,7 +100,7 @@ def test_views_without_a_known_pixel_stop_nothing(frames):
 
 
 def test_data_and_batch_are_the_trainings_identity(frames):
-    other = DepthFrames(frames.images, frames.depths * np.float16(2))
+    other = dataclasses.replace(frames, depths=frames.depths * np.float16(2))
     tasks = [(frames, 2), (frames, 3), (other, 2)]
     found = {GeometryTask(Watcher(), data, batch).identity for data, batch in tasks}
     assert len(found) == 3
@@ -117,7 +121,9 @@ def test_skies_are_far_and_lidar_stands_in_for_truth(tmp_path):
     depths["left"][:10] = 0  # sky
     depths["left"][10:20] = 1e4
     write_arrays(tmp_path / "depths/000000.npz", depths)
-    found = read_depth_frames([scene.folder], [tmp_path / "depths"], VGGT_NANO).depths
+    read = read_depth_frames([scene.folder], [tmp_path / "depths"], VGGT_NANO)
+    assert read.names == [f"{scene.info.name}/0", f"{scene.info.name}/1"]
+    found = read.depths
     left = scene.cameras.index("left")
     assert (found[0, left, :20] == FAR).all()
     np.testing.assert_allclose(found[0, left, 20:], depths["left"][20:], rtol=1e-3)

@@ -226,6 +226,7 @@ def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
 
 def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
+    spent["training_seconds"] = 120.0
     outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
     write_json(tmp_path / "render.json", outcomes)
     place = {"dataset": "d", "scene": "s"}
@@ -235,10 +236,12 @@ def test_costs_by_hand(tmp_path):
         **place,
         **{"method": "m", "variant": "v", "seed": 1, "sources": "all-cameras"},
         **{"fit_seconds": 2.0, "render_seconds": 0.5, "peak_memory": 9, "gpu_memory": 5},
+        "training_seconds": 120.0,
         **{"primitives": 3, "parameters": 0, "bytes": 7, "device": "cuda", "threads": 2},
         **{"note": "n", "status": "ok", "stage": "", "reason": "", "log": ""},
     }
     assert (failed["status"], failed["reason"], failed["log"]) == ("failed", "no points", "fit.log")
     assert math.isnan(failed["fit_seconds"])
+    assert math.isnan(failed["training_seconds"])
     assert math.isnan(failed["render_seconds"])
     assert failed["device"] == "cpu"

@@ -140,6 +140,7 @@ def test_up_is_better_on_every_axis(rows, metric):
 def test_a_page_shows_distances_of_sets_on_an_axis_of_decades(rows):
     table = with_sets(rows, distances("texture_energy", {**DISTANCES, "geo-evs": -0.01}))
     page = draw_page("extrapolation", table, SETTINGS)
+    assert "Fit seconds are without the training of networks" in page.title
     text = page.to_json()
     assert '"symlog"' in text
     assert "texture_energy ↓ (reversed: up is better)" in json.dumps(

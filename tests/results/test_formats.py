@@ -85,7 +85,7 @@ def costs():
         **{"dataset": "d", "method": "mine", "variant": "default", "sources": "all-cameras"},
         **{"status": "ok", "fit_seconds": 1.0, "render_seconds": 0.5, "peak_memory": 3_000_000},
         **{"gpu_memory": 0, "primitives": 10, "parameters": 0, "bytes": 2_000_000},
-        **{"device": "cpu", "threads": 2},
+        **{"device": "cpu", "threads": 2, "scene": "s", "note": "", "training_seconds": math.nan},
     }
     return lambda *changes: pd.DataFrame([{**usual, **change} for change in changes])
 
@@ -104,7 +104,35 @@ def test_costs_are_means_of_what_went_well(costs):
 def test_costs_of_a_method_that_always_fails_are_empty(costs):
     broken = {"status": FAILED, "method": "mean-colour", "fit_seconds": math.nan}
     text = cost_markdown(make_cost_table(costs({}, broken)))
-    assert text.splitlines()[-2:] == [
-        "| mine | 1 | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
-        "| *mean-colour* |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
+    assert text.split("\n\n")[2].splitlines()[-2:] == [
+        "| mine | 1 |  | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
+        "| *mean-colour* |  |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
     ]
+
+
+def test_training_is_a_cost_of_its_own(costs):
+    seeds = [{"training_seconds": 100.0}, {"training_seconds": 140.0, "seed": 1}]
+    made = make_cost_table(costs(*seeds, {"method": "untrained"}))
+    assert made["training_seconds"].tolist()[0] == 120.0
+    assert math.isnan(made["training_seconds"].tolist()[1])
+    assert made["fit_seconds"].tolist() == [1.0, 1.0]
+    text = cost_markdown(made)
+    assert "| mine | 1 | 120 | 0.5 |" in text
+    assert "once for all scenes, and in no `fit s`" in text.replace("\n", " ")
+
+
+def test_notes_of_fits_that_agree_are_one(costs):
+    same = [{"scene": scene, "note": "no LiDAR"} for scene in "st"]
+    broken = {"scene": "u", "status": FAILED, "note": "unheard of"}
+    other = {"method": "reproject", "note": "no LiDAR"}
+    made = make_cost_table(costs(*same, broken, other, {"method": "silent"}))
+    assert made["note"].tolist() == ["no LiDAR", "no LiDAR", ""]
+    notes = [line for line in cost_markdown(made).splitlines() if line.startswith("- ")]
+    assert notes == ["- mine, *reproject*: no LiDAR"]
+
+
+def test_notes_that_differ_name_their_scenes(costs):
+    fits = [("s", "9 points"), ("t", ""), ("u", "9 points"), ("s", "9 points"), ("v", "8 points")]
+    made = make_cost_table(costs(*({"scene": scene, "note": note} for scene, note in fits)))
+    assert made["note"].tolist() == ["s, u: 9 points | v: 8 points"]
+    assert "\n- mine: s, u: 9 points | v: 8 points\n" in cost_markdown(made)

@@ -6,7 +6,12 @@ import pytest
 
 from geoevs.errors import GeoEvsError
 from geoevs.results import manifest
-from geoevs.results.manifest import add_provenance, hash_path, make_manifest
+from geoevs.results.manifest import (
+    add_provenance,
+    cached_repository,
+    hash_path,
+    make_manifest,
+)
 
 CONFIG = {"seed": 3, "run": "a"}
 
@@ -31,6 +36,26 @@ def test_it_says_what_the_run_was_made_of(folder):
     assert made["machine"]["cores"] >= 1
     assert made["machine"]["memory_bytes"] > 1e8
     assert made["commit"]
+
+
+def test_a_cached_repository_is_known_by_its_files(tmp_path, monkeypatch):
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
+    assert cached_repository("a/b") == "missing"
+    assert cached_repository("no/such/name") == "missing"
+    cached = tmp_path / "models--a--b"
+    for folder in ("refs", "blobs", "snapshots/commit/unet"):
+        (cached / folder).mkdir(parents=True)
+    (cached / "refs/main").write_text("commit")
+    for content in ("c0ffee", "c0c0a"):
+        (cached / "blobs" / content).touch()
+    weights = cached / "snapshots/commit/unet/weights"
+    found = [cached_repository("a/b")]
+    for content in ("c0ffee", "c0c0a"):
+        weights.unlink(missing_ok=True)
+        weights.symlink_to(f"../../../blobs/{content}")
+        found.append(cached_repository("a/b"))
+    assert len({"missing", *found}) == 4
+    assert cached_repository("a/b") == found[-1]
 
 
 def test_the_same_run_gives_the_same_bytes(folder):

@@ -2,6 +2,8 @@
 
 import re
 
+from geoevs.io import read_json
+
 OTHER = """\
 datasets:
   street-train: {partitions: {validation: [straight-701], geometry: [straight-702]}}
@@ -30,6 +32,25 @@ def test_pairs_and_masks_are_of_every_data_sets_training_scenes(workspace):
         *("other/curve-601", "street-train/straight-301", "street-train/straight-702"),
         "street/junction-201",
     ]
+
+
+def test_a_training_that_lacked_its_prior_runs_again_once_that_is_there(workspace):
+    (workspace.folder / "prior.yaml").write_text(
+        "freevs: {prior: downloaded}\nresolution: [16, 24]\n"
+        "datasets: {street-clips: {options: {frames: 3, samples: 1}}}\n"
+    )
+    trained = "results/smoke/trained/freevs.seed0"
+    arguments = (*workspace.SMOKE, "prior.yaml", "--", trained)
+    run = workspace.snakemake(*arguments)
+    assert run.returncode == 0, run.stderr[-3000:]
+    reason = read_json(workspace.folder / trained / "failure.json")["reason"]
+    assert reason.startswith("prior 'downloaded' is not on this machine")
+    plan = workspace.snakemake("-n", *arguments)
+    assert "Nothing to be done" in plan.stdout + plan.stderr
+    (workspace.folder / "downloaded").mkdir()
+    plan = workspace.snakemake("-n", *arguments)
+    assert "rule train_freevs:" in plan.stdout + plan.stderr
+    assert "rule clips:" not in plan.stdout + plan.stderr
 
 
 def test_a_run_without_training_scenes_says_what_to_name(workspace):

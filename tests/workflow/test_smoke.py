@@ -33,6 +33,7 @@ UNSTABLE = {
     "costs.csv",
     "costs.md",
     "render.json",
+    *("seconds.json", "vggt.seconds.json"),
     *(f"geometry.{s}" for s in ("csv", "md", "tex")),
     *(f"complexity.{s}" for s in ("csv", "md")),
 }
@@ -259,6 +260,21 @@ def test_a_second_call_has_nothing_to_do(smoke_run):
     wanted = (*workspace.EVERYTHING, "report")
     again = workspace.snakemake(*workspace.SMOKE, "failing.yaml", "-n", "--", *wanted)
     assert "Nothing to be done" in again.stdout + again.stderr
+
+
+def test_training_is_a_cost_beside_the_fit(smoke_run):
+    workspace, _ = smoke_run
+    results = workspace.folder / "results/smoke"
+    costs = pd.read_csv(results / "tables/costs.csv").set_index(["method", "variant"])
+    tuned = read_json(results / "geometry/vggt.seconds.json")["training"]
+    for method, training in (("geo-evs", "v3"), ("freevs", "freevs")):
+        seconds = read_json(results / f"trained/{training}.seed0/seconds.json")
+        assert seconds.get("geometry", tuned) == tuned > 0
+        spent = costs.loc[(method, "default"), "training_seconds"]
+        assert spent == pytest.approx(sum(seconds.values()))
+    assert np.isnan(costs.loc[("three-dgs", "default"), "training_seconds"])
+    assert "starts from" in costs.loc[("three-dgs", "default"), "note"]
+    assert "training seconds" in (results / "report.html").read_text()
 
 
 def test_another_bootstrap_remakes_tables_alone(smoke_run):

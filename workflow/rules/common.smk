@@ -28,7 +28,7 @@ from geoevs.protocol.stability import (
     world_options,
 )
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.manifest import hash_path
+from geoevs.results.manifest import cached_repository, hash_path
 from geoevs.results.tables import TABLES
 from geoevs.scenes.scene import find_sources
 from snakemake.exceptions import WorkflowError
@@ -227,9 +227,11 @@ PRIOR_FILES = [
 ]
 
 
-def prior_hash():
-    """Hash of the weights that Geo-EVS starts from."""
-    return " ".join(content_hash(path) for path in PRIOR_FILES)
+def prior_hash(name):
+    """Hash of the weights that a training starts from: one that failed without them runs again."""
+    if name == "nano":
+        return " ".join(content_hash(path) for path in PRIOR_FILES)
+    return content_hash(name) if Path(name).exists() else cached_repository(name)
 
 
 def starting_weights(wildcards):

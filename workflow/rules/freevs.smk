@@ -30,7 +30,7 @@ rule train_freevs:
         clips=lambda wildcards, input: with_option("--clips", input.clips),
         settings=json.dumps(config["freevs"]),
         weights=config["weights"],
-        prior=prior_hash(),
+        prior=lambda wildcards: prior_hash(config["freevs"]["prior"]),
         work=in_run(layout.TRAINING).format(network="freevs.seed{seed}"),
         code=code_hash("baselines.freevs.training"),
     shell:

@@ -23,7 +23,9 @@ rule train:
         geometry_weights=with_option("--geometry-weights", FINETUNED or PRETRAINED),
         pretrained=pretrained_hash,
         weights=config["weights"],
-        prior=prior_hash(),
+        prior=lambda wildcards: prior_hash(
+            training_settings(config, wildcards.training)["prior"]
+        ),
         work=in_run(layout.TRAINING).format(network="{training}.seed{seed}"),
         code=code_hash("geoevs.generator.training"),
     shell:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.generator.trained import asked_options, link_trained, read_trained
+from geoevs.errors import GeoEvsError
+from geoevs.generator.trained import asked_options, link_trained, read_trained, trained_seconds
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.io import read_json, write_json
@@ -52,15 +53,16 @@ class Method:
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Estimate the depth of every source view; the networks were trained before."""
-        settings = self._load_trained()
-        geometry = Path(self.weights) / "geometry.safetensors"
+        settings, folder = self._load_trained(), Path(self.weights)
+        geometry = folder / "geometry.safetensors"
         model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
         self._lifted = self.lifting.make(views, model)
         self._seed = int(rng.numpy.integers(2**31))
         networks = self._generator.autoencoder, self._generator.denoiser
         parameters = model.parameters
         parameters += sum(p.numel() for network in networks for p in network.parameters())
-        return FitReport(self._lifted.pixels, parameters, "primitives are source pixels with depth")
+        note, seconds = "primitives are source pixels with depth", trained_seconds(folder)
+        return FitReport(self._lifted.pixels, parameters, note, seconds)
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Generate the view; `support` and `depth` are those of its condition map."""
@@ -110,7 +112,24 @@ class Method:
         asked = asked_options(self, SAMPLING_OPTIONS)
         self._sampling = Sampling(**settings["sampling"] | asked)
         self._generator = Generator.load(Path(self.weights))
+        if settings["timesteps"] == "sampled":
+            self._check_timesteps(Sampling(**settings["sampling"]))
         return settings
+
+    def _check_timesteps(self, trained: "Sampling") -> None:
+        """At timesteps that no training visited, the network's answers mean nothing."""
+        asked = self._sampling
+        learned, visited = (
+            set(self._generator.diffusion.timesteps(s.steps, s.sampler).tolist())
+            for s in (trained, asked)
+        )
+        if not visited <= learned:
+            raise GeoEvsError(
+                f"{self.weights} was trained at the {len(learned)} timesteps of sampling with "
+                f"steps={trained.steps} and sampler={trained.sampler} alone, and steps="
+                f"{asked.steps} with sampler={asked.sampler} visits others; set `timesteps: "
+                "uniform` in its training section, or drop the options steps and sampler"
+            )
 
     def save(self, folder: Path) -> None:
         """Write the views and depths; link the weights, which many scenes share."""

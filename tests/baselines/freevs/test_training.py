@@ -180,6 +180,7 @@ def test_commands_make_clips_and_write_down_what_failed(settings, weights, tmp_p
 
     run(tmp_path / "fine")
     assert read_json(tmp_path / "fine/settings.json") == {"sampling": settings.sampling}
+    assert read_json(tmp_path / "fine/seconds.json")["training"] > 0
     assert not (tmp_path / "work/state.pt").exists()
     run(tmp_path / "failed", frames=7)
     reason = read_json(tmp_path / "failed/failure.json")["reason"]

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.gaussians import initialisation
-from baselines.gaussians.initialisation import (
-    FEWEST,
-    scene_extent,
-    starting_points,
-    with_far_points,
-)
+from baselines.gaussians.initialisation import scene_extent, starting_points, with_far_points
+from baselines.gaussians.options import FEWEST
 from geoevs.errors import GeoEvsError
 from geoevs.projection import project_points
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.gaussians import size
+from baselines.gaussians.options import FEWEST, STRATEGIES
 from geoevs.adapter import Budget, Rng, Views, make_method
 from geoevs.adapter_check import contract_failures
 from geoevs.errors import GeoEvsError
@@ -69,12 +70,23 @@ def test_steps_are_as_many_as_the_photographs_ask_for(scene):
     assert f"0 of {124 * photographs} iterations" in both.note
 
 
-@pytest.mark.parametrize("option", ["iterations", "gaussians"])
-def test_bad_options_are_one_sentence(option):
-    with pytest.raises(GeoEvsError, match=f"option '{option}' is 0; make it 1 or more"):
-        make_method("three-dgs", {option: 0})
+@pytest.mark.parametrize(("option", "least"), [("iterations", 1), ("gaussians", FEWEST)])
+def test_bad_options_are_one_sentence(option, least):
+    sentence = f"^the option '{option}' is {least - 1}; make it {least} or more$"
+    with pytest.raises(GeoEvsError, match=sentence):
+        make_method("three-dgs", {option: least - 1})
 
 
-def test_an_unknown_densification_is_one_sentence(scene):
+@pytest.mark.parametrize("name", ["three-dgs", "street-gaussians"])
+@pytest.mark.parametrize("densification", STRATEGIES)
+def test_the_fewest_gaussians_are_enough(scene, name, densification):
+    options = {"iterations": 40, "gaussians": FEWEST, "densification": densification}
+    method = make_method(name, options)
+    views = Views(scene, ("front", "left", "right"), method.info.needs)
+    assert method.fit(views, Budget(), Rng(0)).primitives >= FEWEST - 10
+    assert np.isfinite(method.render(scene.camera("front", 0), 0).rgb).all()
+
+
+def test_an_unknown_densification_is_one_sentence_before_a_fit():
     with pytest.raises(GeoEvsError, match="no densification 'grad'; did you mean 'gradient'"):
-        fit(scene, densification="grad")
+        make_method("three-dgs", {"densification": "grad"})
