@@ -92,7 +92,7 @@ def make_page(run: Path, threads: int = 1) -> str:
             *summarise_suites(run),
             *summarise_gaps(failures, scores, sets),
         ],
-        tables=sorted(tables, key=_table_order),
+        tables=sorted(tables, key=lambda exhibit: _table_order(exhibit.name)),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: some for folder, some in exhibits.items() if some},
         failures=[_described(failure) for failure in failures],
@@ -162,9 +162,14 @@ SUFFIXES = ("csv", "png", "html", "md")
 
 
 def _exhibits(folder: Path) -> Iterator[Exhibit]:
-    """What lies in a folder of results, files of one stem together, those with words first."""
+    """What lies in a folder of results, files of one stem together.
+
+    Those with words come first, then those of a table, in the order of TABLES.
+    """
     stems = {path.stem for suffix in SUFFIXES for path in folder.glob(f"*.{suffix}")}
-    for stem in sorted(stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), stem)):
+    for stem in sorted(
+        stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), _table_order(stem))
+    ):
         table, picture, page, words = (folder / f"{stem}.{suffix}" for suffix in SUFFIXES)
         chart = chart_of(page) if page.exists() else None
         yield Exhibit(
@@ -188,10 +193,9 @@ def chart_of(page: Path) -> dict[str, Any] | None:
     return json.JSONDecoder().raw_decode(text, found.end())[0] if found else None
 
 
-def _table_order(exhibit: Exhibit) -> tuple[int, str]:
+def _table_order(name: str) -> tuple[int, str]:
     names = list(TABLES)
-    place = names.index(exhibit.name) if exhibit.name in names else len(names)
-    return place, exhibit.name
+    return names.index(name) if name in names else len(names), name
 
 
 def _described(failure: Failure) -> dict[str, str]:

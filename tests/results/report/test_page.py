@@ -10,7 +10,7 @@ from geoevs.errors import GeoEvsError
 from geoevs.io import write_text
 from geoevs.protocol.targets import read_targets
 from geoevs.results.report import page
-from geoevs.results.report.page import chart_of, make_page, table_html
+from geoevs.results.report.page import _exhibits, chart_of, make_page, table_html
 from geoevs.results.report.pictures import _unlike, comparison
 
 PLACE = {"dataset": "d", "scene": "s"}
@@ -148,6 +148,13 @@ def test_means_stand_with_their_interval_and_sort_by_their_value():
     assert "&lt;b&gt;" in text
     assert "empty" not in text
     assert ">gap low</th>" in text  # an end without its mean is a column like others
+
+
+def test_words_come_first_then_charts_in_the_order_of_their_tables(tmp_path):
+    for name in ("complexity.csv", "observed.csv", "extrapolation.csv", "words.md"):
+        write_text(tmp_path / name, "a\n")
+    names = [exhibit.name for exhibit in _exhibits(tmp_path)]
+    assert names == ["words", "extrapolation", "observed", "complexity"]
 
 
 def test_pages_without_a_chart_have_none(tmp_path):
