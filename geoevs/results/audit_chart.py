@@ -3,18 +3,15 @@
 import altair as alt
 import pandas as pd
 
-UNITS = {"dB": "psnr", "SSIM": "ssim"}
-"""Axes of bias, by the text that metrics of a unit hold."""
+UNITS = {"dB": "psnr", "SSIM": "ssim", "colour from 0 to 1": "mae|rmse"}
+"""Axes of bias, by the pattern that metrics of a unit match."""
 
 
 def agreement_chart(table: pd.DataFrame) -> alt.VConcatChart:
     """Bias against dense twins, and Kendall's tau, over the reference's support."""
     if table.empty:
         return _nothing()
-    bias = [
-        _lines(table[table["metric"].str.contains(holds)], "bias", f"sparse minus dense, {unit}")
-        for unit, holds in UNITS.items()
-    ]
+    bias = _bias(table, "sparse minus dense")
     tau = _lines(table, "tau", "Kendall's tau of methods, sparse against dense")
     return alt.vconcat(*bias, tau).configure_view(stroke=None)
 
@@ -25,11 +22,13 @@ def support_chart(table: pd.DataFrame) -> alt.VConcatChart:
         return _nothing()
     shown = table.rename(columns={"share": "support", "mean": "bias"})
     shown = shown.rename(columns={"low": "bias_low", "high": "bias_high"})
-    panels = [
-        _lines(shown[shown["metric"].str.contains(holds)], "bias", f"bias of support, {unit}")
-        for unit, holds in UNITS.items()
-    ]
-    return alt.vconcat(*panels).configure_view(stroke=None)
+    return alt.vconcat(*_bias(shown, "bias of support")).configure_view(stroke=None)
+
+
+def _bias(table: pd.DataFrame, title: str) -> list[alt.LayerChart]:
+    """A panel for every unit that the table's metrics have."""
+    found = {unit: table[table["metric"].str.contains(some)] for unit, some in UNITS.items()}
+    return [_lines(rows, "bias", f"{title}, {unit}") for unit, rows in found.items() if len(rows)]
 
 
 def _nothing() -> alt.VConcatChart:

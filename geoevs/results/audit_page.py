@@ -113,12 +113,12 @@ def _gain(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def _interval(row: pd.Series, name: str) -> str:
+def _interval(row: pd.Series, name: str, digits: int = 2) -> str:
     """A mean and its interval; nothing where there is none."""
     if math.isnan(row[name]):
         return ""
-    ends = f"{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}"
-    return f"{row[name]:.2f} [{ends}]"
+    mean, low, high = (f"{row[name + end]:.{digits}f}" for end in ("", "_low", "_high"))
+    return f"{mean} [{low}, {high}]"
 
 
 def _agreement_grid(table: pd.DataFrame) -> str:
@@ -126,7 +126,7 @@ def _agreement_grid(table: pd.DataFrame) -> str:
         [
             row["metric"],
             f"{row['support']:.4f}",
-            _interval(row, "bias"),
+            _interval(row, "bias", 2 if "psnr" in row["metric"] else 4),  # dB, or shares of 1
             _interval(row, "tau"),
             "" if math.isnan(row["gap"]) else f"{row['gap']:.2g}",
         ]

@@ -2,6 +2,7 @@
 
 import io
 import math
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,17 @@ from geoevs.results.tables import bin_names, table_spec
 
 WIDTH, HEIGHT = 300, 230
 LABEL_SIZE = 11
-LABEL_ROOM = 0.4
-"""The share of a panel's width, at its cheap end, that is kept free for labels."""
+NARROW, WIDE = set("fijlrt-() "), set("mwABCDEFGHKMNOPQRSUVWXYZ")
+"""Letters about 0.3 and 0.75 times as wide as they are high, in a plain font; others are 0.56."""
+
+MOST_ROOM = 0.55
+"""The largest share of a panel's width, at its cheap end, that is kept free for labels."""
+
+ROOMS_ABOVE = np.arange(0.15, 3.0, 0.1)
+"""Free space above the best point, as shares of the way from the worst: the first that does."""
+
+SUBTITLE_WIDTH = 55
+"""Characters of a panel's subtitle in a line."""
 
 LINEAR_TO = {"fid": 1.0, "kid": 0.01, "texture_energy": 0.1}
 """Distances of sets span decades, so that they have logarithmic axes; unbiased ones may be
@@ -85,11 +95,12 @@ def _costs(points: pd.DataFrame, metric: str, place: str) -> list[alt.LayerChart
 
 def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.LayerChart:
     """One cost against one metric: points with both intervals, and the frontier with its names."""
-    data = _plotted(points, cost)
-    across, up = _domains(data, metric)
-    drawn = data.assign(y=_stretch(data["y"], metric))
-    labels = _label_heights(drawn, across, _stretch(np.array(up), metric))
-    data = data.assign(label=_shrink(labels, metric))
+    every = _plotted(points, cost)
+    data, across, up = _laid_out(every, metric)
+    # Up to the edge where an exact copy, beyond the axis, ends it.
+    frontier = every.loc[every["frontier"], ["x", "y"]].assign(
+        y=lambda some: some["y"].clip(upper=max(up))
+    )
     x = alt.X("x:Q", title=COSTS[cost]).scale(type="log", domain=across, nice=False)
     x = x.axis(tickCount=5, format="~g", labelOverlap=True)
     y = _upward(metric, up)
@@ -103,21 +114,32 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
         alt.Tooltip("n:Q", title="views"),
     ]
     line = (
-        base.transform_filter("datum.frontier")
+        alt.Chart(frontier)
         .mark_line(interpolate="step-after", strokeDash=[4, 3], color="#888")
-        .encode(order="x:Q")
+        .encode(x=x, y=y, order="x:Q")
     )
     bars = base.mark_rule(strokeWidth=1.5).encode(color=COLOR, opacity=FADED)
     names = (
         base.transform_filter("datum.frontier")
-        .mark_text(align="right", baseline="bottom", dx=-4, fontSize=LABEL_SIZE)
-        .encode(y=alt.Y("label:Q"), text="name:N")
+        .mark_text(align="right", baseline="bottom", fontSize=LABEL_SIZE)
+        .encode(x="label_x:Q", y="label_y:Q", text="name:N")
     )
     dots = base.mark_point(filled=True, size=75).encode(
         color=COLOR, shape=SHAPE, opacity=FADED, tooltip=tips
     )
     layers = line + bars.encode(y2="high:Q", y="low:Q") + bars.encode(x2="x_high:Q", x="x_low:Q")
-    return (layers + dots + names).properties(width=WIDTH, height=HEIGHT, title=title)
+    panel = (layers + dots + names).properties(width=WIDTH, height=HEIGHT)
+    return panel.properties(title=_titled(title, points))
+
+
+def _titled(title: str, points: pd.DataFrame) -> alt.TitleParams:
+    """A panel's title, and below it whose mean is infinite, which no axis can show."""
+    beyond = points.loc[np.isinf(points["mean"]), "name"].unique()
+    if not len(beyond):
+        return alt.TitleParams(title)
+    text = f"Beyond the axis (∞, some views are exact): {', '.join(beyond)}"
+    lines = textwrap.wrap(text, SUBTITLE_WIDTH, break_on_hyphens=False)
+    return alt.TitleParams(title, subtitle=lines)
 
 
 def _upward(metric: str, up: list[float]) -> alt.Y:
@@ -169,47 +191,85 @@ def _plotted(points: pd.DataFrame, cost: str) -> pd.DataFrame:
     return data
 
 
-def _domains(data: pd.DataFrame, metric: str) -> tuple[list[float], list[float]]:
-    """The ranges of both axes: all intervals, and room for labels at the cheap end and above.
+def _laid_out(data: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, list[float], list[float]]:
+    """What can be drawn, with the places of its names, and the ranges of both axes.
 
-    That of the metric goes from its worse end to its better one.
+    There is as much room above the best point as it takes to keep all names in the panel.
     """
+    shown = data[np.isfinite(data["y"])]
+    drawn = shown.assign(y=_stretch(shown["y"], metric))
+    across = _cost_range(data, shown[shown["frontier"]])
+    for room in ROOMS_ABOVE:
+        up = _metric_range(shown, metric, room)
+        bottom, top = _stretch(np.array(up), metric)
+        places = _label_places(drawn, across, [bottom, top])
+        if (places["bottom"] + LABEL_SIZE + 2 <= HEIGHT).all():
+            break
+    low, high = np.log10(across)
+    label_x = 10 ** (low + places["right"] / WIDTH * (high - low))
+    label_y = _shrink(bottom + places["bottom"] / HEIGHT * (top - bottom), metric)
+    return shown.assign(label_x=label_x, label_y=label_y), across, up
+
+
+def _cost_range(data: pd.DataFrame, named: pd.DataFrame) -> list[float]:
+    """All intervals, and room at the cheap end for the names, which end at their points."""
     if data.empty:
-        return [0.1, 1.0], [0.0, 1.0]
+        return [0.1, 1.0]
     low, high = math.log10(data["x_low"].min()), math.log10(data["x_high"].max())
-    width = max(high - low, 0.5) / (1 - LABEL_ROOM)
-    across = [10 ** (high - width * 0.95), 10 ** (high + width * 0.05)]
+    span = max(high - low, 0.5)
+    lengths = np.array([_length(name) + 8 for name in named["name"]])
+    back = (high - np.log10(named["x"])) / span
+    rooms = (lengths / WIDTH - 0.95 * (1 - back)) / back
+    width = span / (0.95 - min(max([0.05, *rooms]), MOST_ROOM))
+    return [10 ** (high - width * 0.95), 10 ** (high + width * 0.05)]
+
+
+def _metric_range(data: pd.DataFrame, metric: str, above: float) -> list[float]:
+    """All intervals from the worse end to the better one, and a share of that way above them."""
+    if data.empty:
+        return [0.0, 1.0]
     ends = [data["low"].min(), data["high"].max()]
     bottom, top = _stretch(np.array(ends if higher_is_better(metric) else ends[::-1]), metric)
     span = max(abs(top - bottom), 1e-6 * abs(top), 1e-9) * (1 if higher_is_better(metric) else -1)
-    return across, _shrink(np.array([bottom - 0.05 * span, top + 0.15 * span]), metric).tolist()
+    return _shrink(np.array([bottom - 0.05 * span, top + above * span]), metric).tolist()
 
 
-def _label_heights(data: pd.DataFrame, across: list[float], up: list[float]) -> pd.Series:
+def _label_places(data: pd.DataFrame, across: list[float], up: list[float]) -> pd.DataFrame:
     """Where each frontier entrant's name stands: left above its point, where nothing can be.
 
     Left above the frontier lies no entrant; only other names do, above which a name then moves.
+    One that would leave the panel to the left starts at its edge.
+
+    Returns:
+        `right` end and `bottom` of the names, in pixels from the panel's lower left corner.
     """
     low, high = (math.log10(end) for end in across)
-    heights, placed = pd.Series(np.nan, data.index), []
-    worst_first = data[data["frontier"]].sort_values("y", ascending=up[0] < up[1])
+    placed = pd.DataFrame(columns=["left", "right", "bottom"], dtype=np.float64)
+    worst_first = data[data["frontier"]].sort_values("y", ascending=bool(up[0] < up[1]))
     for index, row in worst_first.iterrows():
-        right = (math.log10(row["x"]) - low) / (high - low) * WIDTH
-        left = right - 0.56 * LABEL_SIZE * len(row["name"])
+        length = _length(row["name"])
+        right = max((math.log10(row["x"]) - low) / (high - low) * WIDTH - 4, length + 2)
+        left = right - length
         bottom = (row["y"] - up[0]) / (up[1] - up[0]) * HEIGHT + 3
-        for other_left, other_right, other_bottom in placed:
-            meets = left < other_right and other_left < right
-            if meets and abs(bottom - other_bottom) < LABEL_SIZE + 1:
-                bottom = other_bottom + LABEL_SIZE + 1
-        placed.append((left, right, bottom))
-        heights[index] = up[0] + bottom / HEIGHT * (up[1] - up[0])
-    return heights
+        for other in placed.itertuples():
+            meets = left < other.right and other.left < right
+            if meets and abs(bottom - other.bottom) < LABEL_SIZE + 1:
+                bottom = other.bottom + LABEL_SIZE + 1
+        placed.loc[index] = (left, right, bottom)
+    return placed[["right", "bottom"]]
+
+
+def _length(name: str) -> float:
+    """About how many pixels a name takes in a line."""
+    widths = [0.3 if letter in NARROW else 0.75 if letter in WIDE else 0.56 for letter in name]
+    return LABEL_SIZE * sum(widths)
 
 
 def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.LayerChart:
     """A metric over a table's bins, one line with its intervals for every entrant."""
     data = points.assign(kind=np.where(points["control"], "control", "method"))
-    data = data[["name", "kind", "bin", "mean", "low", "high", "n"]]
+    columns = ["name", "kind", "bin", "mean", "low", "high", "n"]
+    data = data.loc[np.isfinite(data["mean"]), columns]
     x = alt.X("bin:O", sort=bins, title=over).axis(labelAngle=0)
     base = alt.Chart(data).encode(x=x, color=COLOR, opacity=FADED)
     y = alt.Y("mean:Q", title=None).scale(zero=False)
@@ -218,7 +278,7 @@ def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.
     )
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title=None), y2="high:Q")
     layers = base.mark_line().encode(y=y) + bars + dots
-    return layers.properties(width=WIDTH, height=HEIGHT, title=title)
+    return layers.properties(width=WIDTH, height=HEIGHT, title=_titled(title, points))
 
 
 def page_png(page: alt.VConcatChart) -> bytes:

@@ -23,7 +23,7 @@ from geoevs.results.tables import (
 COSTS = {
     "fit_seconds": "fit, seconds",
     "render_seconds": "render, seconds a view",
-    "peak_memory_mb": "peak memory, MB",
+    "memory_mb": "peak memory (main or GPU, the larger), MB",
     "size_mb": "model on disk, MB",
 }
 """What a picture costs, by its column and its axis."""
@@ -37,7 +37,7 @@ ACCURACIES = ("sparse_psnr", "psnr", "psnr_removed", "lpips", "gms")
 WEIGHTED, WEIGHT_FREE = ("fid", "kid"), ("texture_energy",)
 """Distances of sets of images; a table that has the first measured is charted with those alone."""
 
-SMALLEST = {"fit_seconds": 1e-3, "render_seconds": 1e-5, "peak_memory_mb": 1.0, "size_mb": 1e-4}
+SMALLEST = {"fit_seconds": 1e-3, "render_seconds": 1e-5, "memory_mb": 1.0, "size_mb": 1e-4}
 """Where a logarithmic axis puts what costs nothing, or less than this."""
 
 
@@ -59,10 +59,10 @@ def speed_accuracy(
 
     Returns:
         A row for every data set, bin, entrant and metric of ACCURACIES, or distance of sets, with a
-        finite value: `name`, `control`, `mean` with its interval `low` and `high` over frames (NaN
-        where it has none), for every cost of COSTS its mean over fits with `_low` and `_high`, and
-        `<cost>_frontier`: whether no entrant of the same data set, bin and metric is both cheaper
-        and better. Oracles, which render nothing, are left out.
+        value: `name`, `control`, `mean` (infinite where views are exact copies) with its interval
+        `low` and `high` over frames (NaN where it has none), for every cost of COSTS its mean over
+        fits with `_low` and `_high`, and `<cost>_frontier`: whether no entrant of the same data
+        set, bin and metric is both cheaper and better. Oracles, which render nothing, are left out.
     """
     spec = table_spec(name)
     rows = table_rows(spec, scores, settings)
@@ -72,7 +72,7 @@ def speed_accuracy(
     if sets is not None:
         summary = pd.concat([summary, _distances(spec, sets)], ignore_index=True)
     table = summary.merge(_costs(spec, costs, settings), on=ENTRANT)
-    table = table[np.isfinite(table["mean"].astype(np.float64))]  # exact copies are off every axis
+    table = table[table["mean"].notna()]
     table["name"] = [display_name(*pair) for pair in zip(table.method, table.variant, strict=True)]
     table["control"] = table["method"].map(is_control)
     for cost in COSTS:
@@ -113,7 +113,8 @@ def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd
     """Means over fits and their intervals, for every entrant; NaN ends for one fit alone."""
     sources = FRONT_SIDE if spec.splits == ("interpolation",) else ALL_CAMERAS
     rows = costs[(costs["sources"] == sources) & (costs["status"] != FAILED)].assign(
-        peak_memory_mb=costs["peak_memory"] / 1e6, size_mb=costs["bytes"] / 1e6
+        memory_mb=costs[["peak_memory", "gpu_memory"]].max(axis=1) / 1e6,
+        size_mb=costs["bytes"] / 1e6,
     )
     found = []
     for entrant, group in rows.groupby(list(ENTRANT), sort=False):

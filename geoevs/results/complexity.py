@@ -22,6 +22,11 @@ CHARTED = (METRIC, "psnr")
 CHOSEN, FIXED = "default", re.compile(r"\d+k")
 """The variant that chooses its size, and the names of those whose size is fixed, such as `8k`."""
 
+ADDS_SIZES = (
+    "snakemake --cores 2 --configfile config.yaml workflow/scales/complexity.yaml -- tables charts"
+)
+"""The command that adds fixed sizes to the default run."""
+
 MEAN = "mean"
 TITLE = "Sizes: chosen per scene, against fixed ones"
 LEGEND = f"""{METRIC} in dB on the {SPLIT} split; sizes are primitives; seconds are of the fit from

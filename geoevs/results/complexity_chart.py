@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.results.chart_pages import HEIGHT, WIDTH
-from geoevs.results.complexity import CHARTED, CHOSEN, TITLE
+from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE
 from geoevs.results.tables import display_name
 
 COLUMNS = 4
@@ -13,7 +13,7 @@ COLUMNS = 4
 
 NOTHING = (
     "No fixed size was run.",
-    "snakemake --cores 2 --configfile config.yaml workflow/scales/complexity.yaml -- charts",
+    ADDS_SIZES,
     "adds some.",
 )
 SHAPES = {"fixed": "circle", "chosen": "diamond"}

@@ -7,12 +7,16 @@ from typing import Any
 import pandas as pd
 
 from geoevs import layout
+from geoevs.errors import GeoEvsError
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.tables import TABLES, TableSpec, bin_names, make_table, table_spec
-from geoevs.results.why_found import Cell, Found, Record, Rows, known, terms_of, value_line
+from geoevs.results.why_found import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
 from geoevs.results.why_others import OTHERS
+
+SUITES = {"stability": layout.STABILITY_SCORES, "audit": layout.AUDIT_ROWS}
+"""What is no table, with the rows that its numbers are made from."""
 
 
 def explain(cell: Cell, run: Path) -> list[str]:
@@ -22,6 +26,7 @@ def explain(cell: Cell, run: Path) -> list[str]:
         GeoEvsError: there is no such cell; the sentence names what there is.
     """
     record = Record(run)
+    _refuse_suites(cell.table, run)
     known("table", cell.table, [*TABLES, *OTHERS])
     found = OTHERS.get(cell.table, _of_table)(cell, record)
     fingerprints = record.scores.loc[record.scores["dataset"] == record.dataset(cell)]
@@ -64,6 +69,9 @@ def _of_table(cell: Cell, record: Record) -> Found:
     rows = Rows.of(file, frame, terms)
     entries = record.entries(dataset, method.method, [method.variant])
     scenes = record.scenes(dataset)
+    shown = (row for _, row in ranked(rows.rows))
+    if of_sets:  # which have no worst view: all of them made the number
+        shown = here.query(" and ".join(terms_of(**who, split=list(spec.splits)))).itertuples()
     return Found(
         list(_value(cell, row, dataset)),
         [rows],
@@ -73,8 +81,22 @@ def _of_table(cell: Cell, record: Record) -> Found:
         ],
         record.config_of([method.label]),
         record.parts(dataset, scenes, entries),
-        logs=record.logs(dataset, scenes[0], entries[0]),
+        logs=record.logs(shown),
     )
+
+
+def _refuse_suites(table: str, run: Path) -> None:
+    """Refuse the names of suites whose numbers are of no table, and of their files.
+
+    Raises:
+        GeoEvsError: it is such a name; the sentence says where those numbers come from.
+    """
+    for suite, rows in SUITES.items():
+        if table == suite or (run / suite / f"{table}.csv").exists():
+            raise GeoEvsError(
+                f"`geoevs why` answers for {run}/tables only; the numbers of {suite} are made from "
+                f"{run / rows} and lie in {run / suite}/*.csv, which docs/{suite}.md describes"
+            )
 
 
 def _value(cell: Cell, row: pd.Series, dataset: str) -> Iterator[str]:

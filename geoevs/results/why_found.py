@@ -137,12 +137,15 @@ class Record:
             for entry in entries
         ]
 
-    def logs(self, dataset: str, scene: str, entry: MethodEntry) -> list[str]:
-        """Where an entrant's logs on a scene would lie."""
+    def logs(self, rows: Iterable[Any]) -> list[str]:
+        """Where the logs of the fits behind score or cost rows would lie, in the rows' order."""
+        fits = dict.fromkeys(
+            (row.dataset, row.scene, MethodEntry(row.method, row.variant, {}, int(row.seed)).label)
+            for row in rows
+        )
         return [
-            self.path(
-                f"logs/{step}/{{dataset}}/{{scene}}/{{label}}.log", dataset, scene, entry.label
-            )
+            self.path(f"logs/{step}/{{dataset}}/{{scene}}/{{label}}.log", *fit)
+            for fit in fits
             for step in ("fit", "render")
         ]
 

@@ -17,12 +17,15 @@ COST_COLUMNS = {"peak_memory_mb": "peak_memory", "gpu_memory_mb": "gpu_memory", 
 """Columns of the cost table that are millions of bytes of a cost row's column."""
 
 
+IN_CONFIG = "to `methods` in the config"
+
+
 def why_ablation(cell: Cell, record: Record) -> Found:
     """A cell of the ablation table; the entrant is the variant, `geo-evs` the full model."""
     dataset = record.dataset(cell)
     table = ablation.make_ablation_table(_of(record.scores, dataset), record.settings)
     names = [MethodEntry(ablation.METHOD, variant).name for variant in table["variant"] if variant]
-    name = _entrant(cell, names, dataset, f"a variant of {ablation.METHOD}")
+    name = _entrant(cell, names, dataset, f"a variant of {ablation.METHOD} {IN_CONFIG}")
     measures = {
         ablation.column_name(*measure) + end: (*measure, end)
         for measure in ablation.MEASURES
@@ -50,7 +53,7 @@ def why_ablation(cell: Cell, record: Record) -> Found:
         [*record.extremes(mine), *record.pictures(dataset, entries[0].label)],
         record.config_of(entry.name for entry in entries),
         record.parts(dataset, scenes, entries),
-        logs=record.logs(dataset, scenes[0], entries[0]),
+        logs=record.logs(row for _, row in ranked(mine)),
     )
 
 
@@ -74,12 +77,13 @@ def why_geometry(cell: Cell, record: Record) -> Found:
     stages = [PRETRAINED, FINE_TUNED] if changed else [stage]
     terms = terms_of(dataset=dataset, model=model, stage=stages, scale=scale, metric=metric)
     rows = Rows.of(layout.DEPTH_SCORES, scores, terms)
-    shown = rows.rows[rows.rows["stage"] == stage]
+    shown = list(ranked(rows.rows[rows.rows["stage"] == stage]))
     photos = record.path(layout.SCENE, dataset, "{}") + "/images/{}/{:06d}.png"
     views = [
         f"{title:9} {row.value:.4g}: {photos.format(row.scene, row.camera, row.frame)}"
-        for title, row in ranked(shown)
+        for title, row in shown
     ]
+    seen = dict.fromkeys(row.scene for _, row in shown)
     learnt = [] if stage == CONTROL else [f"geometry: {record.config.get('geometry')}"]
     scenes = here["scene"].unique()
     return Found(
@@ -89,7 +93,9 @@ def why_geometry(cell: Cell, record: Record) -> Found:
         [*learnt, f"tables: {record.settings}"],
         [record.path(layout.DEPTH_SCORE_PART, dataset, scene) for scene in scenes],
         rules=("depth_scores_of_scene",),
-        logs=[record.path("logs/depth-scores/{dataset}/{scene}.log", dataset, scenes[0])],
+        logs=[
+            record.path("logs/depth-scores/{dataset}/{scene}.log", dataset, scene) for scene in seen
+        ],
     )
 
 
@@ -98,7 +104,8 @@ def why_complexity(cell: Cell, record: Record) -> Found:
     dataset = record.dataset(cell)
     scores, spent = _of(record.scores, dataset), _of(record.costs, dataset)
     table = complexity.make_complexity_table(scores, spent)
-    method = _entrant(cell, table["method"].dropna(), dataset, "a method with fixed sizes")
+    remedy = f"fixed sizes with `{complexity.ADDS_SIZES}`"
+    method = _entrant(cell, table["method"].dropna(), dataset, remedy)
     mine = table[table["method"] == method]
     scene = known("bin", cell.bin or complexity.MEAN, mine["scene"])
     known("column", cell.metric, mine.select_dtypes("number").columns)
@@ -120,7 +127,7 @@ def why_complexity(cell: Cell, record: Record) -> Found:
         [*record.extremes(rows.rows), *record.pictures(dataset, entries[0].label)],
         record.config_of(entry.name for entry in entries),
         record.parts(dataset, scenes, entries),
-        logs=record.logs(dataset, scenes[0], entries[0]),
+        logs=record.logs(row for _, row in ranked(rows.rows)),
     )
 
 
@@ -151,7 +158,7 @@ def why_costs(cell: Cell, record: Record) -> Found:
         ],
         record.config_of([name]),
         record.parts(dataset, scenes, entries),
-        logs=record.logs(dataset, scenes[0], entries[0]),
+        logs=record.logs(rows.rows.itertuples()),
     )
 
 
@@ -200,14 +207,12 @@ def _of(rows: pd.DataFrame, dataset: str) -> pd.DataFrame:
     return rows[rows["dataset"] == dataset]
 
 
-def _entrant(cell: Cell, names: list[str] | pd.Series, dataset: str, what: str) -> str:
-    """The cell's entrant.
+def _entrant(cell: Cell, names: list[str] | pd.Series, dataset: str, lacking: str) -> str:
+    """The cell's entrant; `lacking` is what to add where the table has none.
 
     Raises:
         GeoEvsError: the table has no such entrant, or none at all.
     """
     if not len(names):
-        raise GeoEvsError(
-            f"the table {cell.table} is empty for {dataset}; add {what} to `methods` in the config"
-        )
+        raise GeoEvsError(f"the table {cell.table} is empty for {dataset}; add {lacking}")
     return known("entrant", cell.entrant, names)

@@ -110,6 +110,26 @@ def test_the_page_says_what_the_tables_say(rows):
         assert text in page
 
 
+def test_small_biases_have_digits_enough(rows):
+    mae = (rows["part"] == "agreement") & (rows["metric"] == "sparse_mae")
+    rows.loc[mae, "value"] = rows.loc[mae, "dense"] - 0.0064
+    page = audit_markdown(audit_tables(rows, SETTINGS))
+    assert "| sparse_mae | 0.0600 | -0.0064 [-0.0064, -0.0064] |" in page
+    assert "| sparse_psnr | 0.0600 | 1.00 [1.00, 1.00] |" in page
+
+
+def test_every_metric_of_the_legend_has_its_bias_drawn(rows):
+    chart = agreement_chart(audit_tables(rows, SETTINGS)["agreement"]).to_dict()
+    *bias, tau = (
+        {row["metric"] for row in chart["datasets"][panel["data"]["name"]]}
+        for panel in chart["vconcat"]
+    )
+    assert set.union(*bias) == tau == set(TWINS)
+    assert {"sparse_mae", "sparse_rmse"} in bias
+    chart = support_chart(audit_tables(rows, SETTINGS)["support_bias"]).to_dict()
+    assert len(chart["vconcat"]) == 2
+
+
 def test_without_truth_it_speaks_of_the_ceiling_alone(rows):
     tables = audit_tables(rows[rows["part"] == "ceiling"], SETTINGS)
     page = audit_markdown(tables)

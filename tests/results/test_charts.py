@@ -7,8 +7,11 @@ import pytest
 from geoevs.results.chart_pages import (
     HEIGHT,
     LABEL_SIZE,
-    _domains,
-    _label_heights,
+    WIDTH,
+    _label_places,
+    _laid_out,
+    _length,
+    _metric_range,
     draw_page,
     page_html,
     page_png,
@@ -43,7 +46,8 @@ def rows():
             scores += [{**kept, "split": "extrapolation", "stressor": "thinning", "value": 99.0}]
         for second in seconds:
             cost = {"sources": "all-cameras", "status": "ok", "fit_seconds": 0.0, "bytes": 0}
-            spent = {**entrant, **cost, "peak_memory": 2e8, "render_seconds": second}
+            cost |= {"peak_memory": 2e8, "gpu_memory": 0}
+            spent = {**entrant, **cost, "render_seconds": second}
             costs += [spent, {**spent, "sources": "front-side", "render_seconds": 2 * second}]
     table = pd.DataFrame(scores)
     return table, pd.DataFrame(costs)
@@ -69,7 +73,7 @@ def test_the_frontier_holds_what_nothing_beats_in_both(rows):
         ("geo-evs", "t1"): True,
     }
     # All take the same memory, so that the best one alone is worth it.
-    assert table.index[table["peak_memory_mb_frontier"]].tolist() == [("geo-evs", "t1")]
+    assert table.index[table["memory_mb_frontier"]].tolist() == [("geo-evs", "t1")]
     assert table["control"].tolist() == [True, True, False, False]
 
 
@@ -110,7 +114,7 @@ def test_distances_of_sets_are_means_over_seeds_and_fewer_is_better(rows):
     assert table.loc["reproject", ["low", "high", "n"]].tolist() == [0.5, 2.5, 8]
     # From fast to slow: 40, 0.5 and 0.1. All take the same memory.
     assert table["render_seconds_frontier"].all()
-    assert table.index[table["peak_memory_mb_frontier"]].tolist() == ["geo-evs"]
+    assert table.index[table["memory_mb_frontier"]].tolist() == ["geo-evs"]
     again = with_sets(rows, distances("texture_energy", {**DISTANCES, "geo-evs": 0.6}))
     again = again[again["metric"] == "texture_energy"].set_index("method")
     assert again["render_seconds_frontier"].to_list() == [True, True, False]
@@ -131,8 +135,7 @@ def test_the_weight_free_distance_stands_in_where_no_other_is_measured(rows):
 def test_up_is_better_on_every_axis(rows, metric):
     worse, better = (0.2, 0.1) if metric != "psnr" else (20.0, 30.0)
     points = pd.DataFrame({"low": [worse, better], "high": [worse, better]})
-    points = points.assign(x_low=1.0, x_high=2.0)
-    _, (bottom, top) = _domains(points, metric)
+    bottom, top = _metric_range(points, metric, 0.15)
     assert (worse - bottom) * (top - better) > 0  # room at both ends
     assert (top > bottom) == (better > worse)
 
@@ -155,7 +158,7 @@ def test_costs_have_intervals_and_logarithms(rows):
     assert row["render_seconds"] == pytest.approx(0.010)
     assert row["render_seconds_low"] == pytest.approx(0.008)
     assert row["render_seconds_high"] == pytest.approx(0.012)
-    assert (row["fit_seconds"], row["size_mb"], row["peak_memory_mb"]) == (1e-3, 1e-4, 200)
+    assert (row["fit_seconds"], row["size_mb"], row["memory_mb"]) == (1e-3, 1e-4, 200)
     assert set(COSTS) <= set(table.columns)
 
 
@@ -171,23 +174,71 @@ def test_every_bin_has_a_frontier_of_its_own(rows):
     assert table.loc["0-10", "render_seconds_frontier"].sum() == 3
 
 
-def test_entrants_that_failed_or_are_exact_are_no_points(rows):
+def test_memory_is_what_the_larger_of_main_and_gpu_memory_took(rows):
+    scores, costs = rows
+    costs.loc[costs["method"] == "geo-evs", "gpu_memory"] = 5e8
+    table = charted((scores, costs)).set_index(["method", "variant"])
+    assert table.loc[("geo-evs", "t1"), "memory_mb"] == 500
+    assert table.loc[("reproject", "default"), "memory_mb"] == 200
+    # What was the best at no more memory now takes more than reproject.
+    frontier = table.index[table["memory_mb_frontier"]].tolist()
+    assert frontier == [("reproject", "default"), ("geo-evs", "t1")]
+
+
+def test_entrants_that_failed_are_no_points(rows):
     scores, costs = rows
     scores.loc[scores["method"] == "reproject", "value"] = np.nan
     assert "reproject" not in set(charted((scores, costs))["method"])
-    assert charted(rows, "observed").empty
 
 
-def test_names_of_the_frontier_never_overlap():
-    near = {"x": [0.1, 0.11, 0.12, 0.13], "y": [20.0, 20.1, 20.2, 20.9], "frontier": [True] * 4}
-    data = pd.DataFrame({"name": ["a long name", "another one", "c", "d"], **near})
-    heights = _label_heights(data, [0.01, 0.2], [20.0, 21.0])
-    pixels = heights.sort_values() * HEIGHT
-    assert np.diff(pixels).min() >= LABEL_SIZE
-    assert (heights >= data["y"]).all()
-    # The same upside down, where less is better.
-    data = data.assign(y=-data["y"])
-    assert _label_heights(data, [0.01, 0.2], [-20.0, -21.0]).tolist() == pytest.approx(-heights)
+def observed(rows, exact):
+    """The rows with finite observed views, but for those of some methods."""
+    scores, costs = rows
+    changed = (scores["split"] == "observed") & ~scores["method"].isin(exact)
+    scores.loc[changed, "value"] = scores.loc[changed, "frame"] + 20.0
+    return scores, costs
+
+
+def test_exact_copies_beat_what_costs_more_but_are_no_points(rows):
+    table = charted(observed(rows, ["reproject"]), "observed")
+    frontier = table[table["render_seconds_frontier"]].set_index("method")["mean"]
+    assert frontier.to_dict() == {"mean-colour": 20.5, "reproject": np.inf}
+    (panel, *_) = panels = draw_page("observed", table, SETTINGS).vconcat[0].hconcat
+    assert panel.title.subtitle == ["Beyond the axis (∞, some views are exact): reproject"]
+    drawn = panels[1].to_dict()  # render seconds
+    line, bars = drawn["layer"][0], drawn["layer"][1]
+    names = {point["name"] for point in drawn["datasets"][bars["data"]["name"]]}
+    assert names == {"mean-colour", "Geo-EVS", "Geo-EVS (t1)"}
+    edge = line["encoding"]["y"]["scale"]["domain"][1]
+    assert [step["y"] for step in drawn["datasets"][line["data"]["name"]]] == [20.5, edge]
+
+
+def test_of_exact_copies_alone_the_cheapest_is_worth_it(rows):
+    table = charted(rows, "observed")
+    assert table.loc[table["render_seconds_frontier"], "method"].tolist() == ["mean-colour"]
+    assert page_png(draw_page("observed", table, SETTINGS)).startswith(b"\x89PNG")
+
+
+def crowded(count):
+    """Points of about the same cost and quality, all of them on the frontier."""
+    numbers = np.arange(count)
+    near = {"x": 0.1 + 0.001 * numbers, "y": 20 + 0.01 * numbers, "n": 9, "frontier": True}
+    data = pd.DataFrame({"name": [f"a rather long name {k}" for k in numbers], **near})
+    return data.assign(low=data.y, high=data.y, x_low=data.x, x_high=data.x)
+
+
+@pytest.mark.parametrize("metric", ["psnr", "lpips"])
+def test_names_of_the_frontier_never_overlap_and_stay_in_the_panel(metric):
+    data = crowded(12)
+    if metric == "lpips":  # the same upside down, where less is better
+        data[["y", "low", "high"]] *= -1
+    data, across, up = _laid_out(data, metric)
+    places = _label_places(data, across, up)
+    assert np.diff(places["bottom"].sort_values()).min() >= LABEL_SIZE
+    assert places["bottom"].max() + LABEL_SIZE <= HEIGHT
+    assert (places["right"] - data["name"].map(_length)).min() >= 0
+    assert places["right"].max() <= WIDTH
+    assert ((data["label_y"] - data["y"]) * (up[1] - up[0]) > 0).all()
 
 
 @pytest.mark.parametrize("name", ["extrapolation", "pose_offset"])

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,11 @@ from geoevs.results.report.suites import summarise_suites
 from geoevs.results.report.words import summarise_gaps, summarise_run
 from geoevs.results.tables import TABLES, display_name, is_control
 
-PICTURE_BUDGET = 18_000_000
-"""Bytes of the pictures to compare; with charts, tables and libraries a page stays below 25 MB."""
+PAGE_BYTES = 24_500_000
+"""About what a page may take: its pictures get what tables, charts and libraries leave."""
+
+NOTHING_COMPARED = {"frames": 0, "all_frames": 0, "quality": 0}
+"""In the place of what `comparison` finds, to see what the rest of a page takes."""
 
 LOG_TAIL = 6000
 """Characters of a failed method's log that the page shows."""
@@ -70,7 +74,6 @@ def make_page(run: Path, threads: int = 1) -> str:
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
     failures = run_failures(run)
-    compared = compared_views(run, scores, threads)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("geoevs.results.report", "."),
         autoescape=True,
@@ -79,7 +82,8 @@ def make_page(run: Path, threads: int = 1) -> str:
         lstrip_blocks=True,
     )
     environment.filters["table"] = table_html
-    return environment.get_template("page.html.jinja").render(
+    page = partial(
+        environment.get_template("page.html.jinja").render,
         run=run.name,
         manifest=manifest,
         manifest_text=json.dumps(manifest, indent=1),
@@ -88,12 +92,10 @@ def make_page(run: Path, threads: int = 1) -> str:
             *summarise_suites(run),
             *summarise_gaps(failures, scores, sets),
         ],
-        tables=sorted(tables, key=_table_order),
+        tables=sorted(tables, key=lambda exhibit: _table_order(exhibit.name)),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: some for folder, some in exhibits.items() if some},
         failures=[_described(failure) for failure in failures],
-        compared=compared,
-        data=_script_json(compared),
         charts=_script_json(
             {
                 f"{folder}/{exhibit.name}": exhibit.chart
@@ -105,6 +107,9 @@ def make_page(run: Path, threads: int = 1) -> str:
         vega=vl_convert.javascript_bundle().replace("</script", "<\\/script"),
         **{name: _asset(path) for name, path in ASSETS.items()},
     )
+    rest = len(page(compared=NOTHING_COMPARED, data="").encode())
+    compared = compared_views(run, scores, PAGE_BYTES - rest, threads)
+    return page(compared=compared, data=_script_json(compared))
 
 
 ASSETS = {
@@ -129,12 +134,12 @@ def _script_json(value: Any) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
 
 
-def compared_views(run: Path, scores: pd.DataFrame, threads: int) -> dict[str, Any]:
+def compared_views(run: Path, scores: pd.DataFrame, budget: int, threads: int) -> dict[str, Any]:
     """What the comparison of pictures needs: see `comparison`; and each view's own scores."""
     scenes = list(scores[["dataset", "scene"]].drop_duplicates().itertuples(index=False, name=None))
     entries = scores[["method", "variant", "seed"]].drop_duplicates()
     labels = [MethodEntry(m, v, {}, int(s)).label for m, v, s in entries.itertuples(index=False)]
-    views = comparison(run, scenes, labels, PICTURE_BUDGET, threads)
+    views = comparison(run, scenes, labels, budget, threads)
     rows = scores[scores["metric"].isin(COMPARED) & (scores["stressor"] == "")]
     measured: dict[tuple, dict[str, dict[str, float]]] = {}
     for row in rows[rows["value"].map(math.isfinite)].itertuples():
@@ -157,9 +162,14 @@ SUFFIXES = ("csv", "png", "html", "md")
 
 
 def _exhibits(folder: Path) -> Iterator[Exhibit]:
-    """What lies in a folder of results, files of one stem together, those with words first."""
+    """What lies in a folder of results, files of one stem together.
+
+    Those with words come first, then those of a table, in the order of TABLES.
+    """
     stems = {path.stem for suffix in SUFFIXES for path in folder.glob(f"*.{suffix}")}
-    for stem in sorted(stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), stem)):
+    for stem in sorted(
+        stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), _table_order(stem))
+    ):
         table, picture, page, words = (folder / f"{stem}.{suffix}" for suffix in SUFFIXES)
         chart = chart_of(page) if page.exists() else None
         yield Exhibit(
@@ -183,10 +193,9 @@ def chart_of(page: Path) -> dict[str, Any] | None:
     return json.JSONDecoder().raw_decode(text, found.end())[0] if found else None
 
 
-def _table_order(exhibit: Exhibit) -> tuple[int, str]:
+def _table_order(name: str) -> tuple[int, str]:
     names = list(TABLES)
-    place = names.index(exhibit.name) if exhibit.name in names else len(names)
-    return place, exhibit.name
+    return names.index(name) if name in names else len(names), name
 
 
 def _described(failure: Failure) -> dict[str, str]:

@@ -9,15 +9,16 @@ from geoevs import layout
 from geoevs.errors import GeoEvsError
 from geoevs.io import write_text
 from geoevs.protocol.targets import read_targets
-from geoevs.results.report.page import chart_of, make_page, table_html
-from geoevs.results.report.pictures import comparison
+from geoevs.results.report import page
+from geoevs.results.report.page import _exhibits, chart_of, make_page, table_html
+from geoevs.results.report.pictures import _unlike, comparison
 
 PLACE = {"dataset": "d", "scene": "s"}
 SCENES = [("d", "s")]
 
 
-def embedded(page, name):
-    found = re.search(rf'id="{name}">(.*?)</script>', page.read_text(), re.DOTALL)
+def embedded(file, name):
+    found = re.search(rf'id="{name}">(.*?)</script>', file.read_text(), re.DOTALL)
     return json.loads(found[1])
 
 
@@ -109,10 +110,27 @@ def test_a_budget_lowers_quality_then_leaves_out_frames(run):
     ample = comparison(run, SCENES, ["grey"], 10**8)
     assert (ample["quality"], ample["frames"], ample["all_frames"]) == (80, 2, 2)
     scarce = comparison(run, SCENES, ["grey"], 6000)
-    assert scarce["quality"] == 40
+    assert scarce["quality"] == 30
     assert (scarce["frames"], scarce["all_frames"]) == (1, 2)
     assert {view["frame"] for view in scarce["views"]} == {0}
     assert len(scarce["views"]) < len(ample["views"])
+
+
+def test_pictures_get_what_the_rest_of_the_page_leaves(reported, monkeypatch):
+    def one_that_fills(_run, _scenes, _labels, budget, _threads):
+        return {"images": ["x" * budget], "views": [], "quality": 40, "frames": 1, "all_frames": 1}
+
+    monkeypatch.setattr(page, "comparison", one_that_fills)
+    length = len(make_page(reported[0]).encode())
+    assert 0.99 * page.PAGE_BYTES < length <= page.PAGE_BYTES + 1000
+    assert page.PAGE_BYTES < 25e6
+
+
+def test_equal_pictures_count_once_for_the_budget(tmp_path):
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    for path, text in zip(paths, ("same", "same", "other"), strict=True):
+        path.write_text(text)
+    assert sorted(path.name for path in _unlike(paths)) == ["b", "c"]
 
 
 def test_means_stand_with_their_interval_and_sort_by_their_value():
@@ -130,6 +148,13 @@ def test_means_stand_with_their_interval_and_sort_by_their_value():
     assert "&lt;b&gt;" in text
     assert "empty" not in text
     assert ">gap low</th>" in text  # an end without its mean is a column like others
+
+
+def test_words_come_first_then_charts_in_the_order_of_their_tables(tmp_path):
+    for name in ("complexity.csv", "observed.csv", "extrapolation.csv", "words.md"):
+        write_text(tmp_path / name, "a\n")
+    names = [exhibit.name for exhibit in _exhibits(tmp_path)]
+    assert names == ["words", "extrapolation", "observed", "complexity"]
 
 
 def test_pages_without_a_chart_have_none(tmp_path):

@@ -3,13 +3,14 @@
 import math
 import re
 import shlex
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
-from geoevs.io import write_bytes, write_json
+from geoevs.io import write_bytes, write_json, write_text
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.protocol.rows import COST_TYPES, cost_frame
 from geoevs.protocol.set_scoring import set_frame
@@ -192,11 +193,46 @@ def test_a_cell_that_is_none_is_named(run, cell, sentence):
         explain(cell, run)
 
 
+def test_logs_are_of_the_fits_behind_the_views_and_costs_shown(run):
+    scores = pd.read_parquet(run / layout.SCORES)
+    scores.loc[scores["scene"] == "u", "value"] -= 9  # the lowest are of u, the highest of s
+    write_bytes(run / layout.SCORES, scores.to_parquet(index=False))
+    cell = Cell("extrapolation", "geo-evs", "sparse_psnr")
+    logs = [
+        f"{run}/logs/{step}/d/{scene}/{label}.log"
+        for scene, labels in (("u", ("geo-evs", "geo-evs.seed1")), ("s", ("geo-evs.seed1",)))
+        for label in labels
+        for step in ("fit", "render")
+    ]
+    for path in (*logs, f"{run}/logs/fit/d/v/geo-evs.log"):
+        write_text(Path(path), "fine")
+    assert told(explain(cell, run), "log")[:4] == logs[:4]
+    assert set(told(explain(cell, run), "log")) == set(logs)
+    costs = explain(Cell("costs", "geo-evs", "fit_seconds"), run)
+    assert {line.split("/")[-2] for line in told(costs, "log")} == {"s", "u"}
+
+
+@pytest.mark.parametrize(
+    ("table", "source"),
+    [
+        ("stability", "stability/scores.parquet"),
+        ("audit", "audit/rows.parquet"),
+        ("agreement", "audit/rows.parquet"),
+    ],
+)
+def test_suites_are_no_tables(run, table, source):
+    write_text(run / "audit/agreement.csv", "metric\n")
+    sentence = f"why` answers for {run}/tables only; .* are made from {run / source} and lie in"
+    with pytest.raises(GeoEvsError, match=sentence):
+        explain(Cell(table, "geo-evs", "psnr"), run)
+
+
 def test_an_empty_table_says_so(run):
     costs = pd.read_parquet(run / layout.COSTS)
     scores = pd.read_parquet(run / layout.SCORES)
     for name, frame in ((layout.COSTS, costs), (layout.SCORES, scores)):
         kept = frame[~frame["variant"].isin(["2k", "8k"])]
         write_bytes(run / name, kept.to_parquet(index=False))
-    with pytest.raises(GeoEvsError, match="complexity is empty for d; add a method with fixed"):
+    remedy = r"complexity is empty for d; add fixed sizes with .*/complexity\.yaml -- tables"
+    with pytest.raises(GeoEvsError, match=remedy):
         explain(Cell("complexity", "three-dgs", "psnr"), run)
