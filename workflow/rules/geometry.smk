@@ -11,7 +11,7 @@ if FINETUNED:
                 else []
             ),
         output:
-            FINETUNED,
+            weights=FINETUNED,
             seconds=in_run(layout.FINETUNED_SECONDS),
         log:
             in_run("logs/finetune_geometry.log"),
@@ -28,7 +28,7 @@ if FINETUNED:
             code=code_hash("geoevs.geometry.finetuning"),
         shell:
             "geoevs --log {log:q} train-geometry {params.frames} {params.settings}"
-            " {params.start} --work {params.work:q} --out {output[0]:q}"
+            " {params.start} --work {params.work:q} --out {output.weights:q}"
 
 
 rule point_maps:
