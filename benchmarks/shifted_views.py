@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from geoevs import layout
-from geoevs.adapter import method_class
+from geoevs.adapter import Adapter, method_class
 from geoevs.io import read_json, to_uint8, write_image
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.scenes.scene import SceneRef, load_source
@@ -23,6 +23,12 @@ DATASET, SCENES, FRAME = "street", ("straight-101", "junction-103"), 4
 METHODS = ("three-dgs", "street-gaussians")
 SHIFTS = (0.0, 1.0, 2.0)
 ENLARGED = 2
+
+
+def fitted(run: Path, place: dict[str, str], label: str) -> Adapter:
+    """A method as the run fitted it to all cameras of a scene."""
+    folder = run / layout.MODEL.format(**place, label=label) / ALL_CAMERAS / "model"
+    return method_class(label).load(folder)
 
 
 def shifted_views(run: Path, name: str) -> list[np.ndarray]:
@@ -38,8 +44,7 @@ def shifted_views(run: Path, name: str) -> list[np.ndarray]:
     truths = source.truth(SceneRef.parse(name), [(camera, FRAME) for camera in cameras])
     rows = [[to_uint8(truth.rgb) for truth in truths]]
     for label in METHODS:
-        folder = run / layout.MODEL.format(**place, label=label) / ALL_CAMERAS / "model"
-        method = method_class(label).load(folder)
+        method = fitted(run, place, label)
         rows.append([to_uint8(method.render(camera, FRAME).rgb) for camera in cameras])
     return [np.hstack(row) for row in rows]
 

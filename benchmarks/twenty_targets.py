@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.shifted_views import DATASET, fitted
 from geoevs import layout
-from geoevs.adapter import method_class
 from geoevs.io import read_image, to_uint8, write_image
-from geoevs.protocol.targets import ALL_CAMERAS, Target, read_targets
+from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.results.figures import Row, draw_grid
 from geoevs.scenes.store import Scene
 
-DATASET, SCENES, COUNT = "street", ("straight-101", "curve-102", "junction-103"), 20
+SCENES, COUNT = ("straight-101", "curve-102", "junction-103"), 20
 INPAINTED = ("reproject-inpaint", "reproject-inpaint.navier-stokes")
 GENERATED = ("geo-evs", "geo-evs-support")
 COLUMNS = [
@@ -33,10 +33,7 @@ def rows_of_scene(run: Path, name: str, targets: list[Target]) -> list[Row]:
     """One row a target: pictures of COLUMNS."""
     place = {"dataset": DATASET, "scene": name}
     scene, truth = (run / path.format(**place) for path in (layout.SCENE, layout.TRUTH))
-    store, methods = Scene(scene), {}
-    for label in GENERATED:
-        folder = run / layout.MODEL.format(**place, label=label) / ALL_CAMERAS / "model"
-        methods[label] = method_class(label).load(folder)
+    store, methods = Scene(scene), {label: fitted(run, place, label) for label in GENERATED}
 
     def rendered(label: str, target: Target) -> np.ndarray:
         return read_image(run / layout.RENDERS.format(**place, label=label) / f"{target.key}.png")

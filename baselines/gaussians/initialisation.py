@@ -1,6 +1,7 @@
 """Where Gaussians start: points of SfM, LiDAR or both, or random ones along the views' rays."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,11 +63,12 @@ def starting_points(
     """
     if first not in SOURCES:
         raise GeoEvsError(f"points cannot start from '{first}'; {did_you_mean(first, SOURCES)}")
+    sfm = functools.cache(lambda: _sfm_points(views, cache))  # seconds, and two sources have them
     makers: dict[str, Callable[[], StartingPoints]] = {
-        "sfm": lambda: _sfm_points(views, cache),
+        "sfm": sfm,
         "lidar": lambda: _lidar_points(views),
         "sfm and lidar": lambda: _both(
-            _at_most(_sfm_points(views, cache), most // 2, rng), _lidar_points(views), most, rng
+            _at_most(sfm(), most // 2, rng), _lidar_points(views), most, rng
         ),
         "random": lambda: _random_points(views, rng, RANDOM_POINTS, RANDOM_DEPTHS),
     }
