@@ -1,6 +1,5 @@
 """Charts of speed against accuracy: pages that need no network, and pictures of them."""
 
-import io
 import math
 import textwrap
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import altair as alt
 import numpy as np
 import pandas as pd
+import vl_convert
 
 from geoevs.io import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
@@ -85,8 +85,18 @@ def draw_page(name: str, table: pd.DataFrame, settings: dict[str, Any]) -> alt.V
         rows[0].hconcat[0] = rows[0].hconcat[0].add_params(CHOSEN)
     title = f"{spec.title}. Dashed: the frontier, what nothing beats in both; bars: intervals."
     title += " Fit seconds are without the training of networks (see tables/costs)."
-    page = alt.vconcat(*rows, title=title).resolve_scale(color="shared", shape="shared")
-    return page.configure_view(stroke="#ddd").configure_axis(gridColor="#eee")
+    return stacked(rows, title)
+
+
+def stacked(rows: list[Any], title: str) -> alt.VConcatChart:
+    """Rows of panels as one page, with one legend."""
+    # In one step, as every method of a chart copies it with all that it holds.
+    return alt.vconcat(
+        *rows,
+        title=title,
+        resolve=alt.Resolve(scale=alt.LegendResolveMap(color="shared", shape="shared")),
+        config={"view": {"stroke": "#ddd"}, "axis": {"gridColor": "#eee"}},
+    )
 
 
 def _costs(points: pd.DataFrame, metric: str, place: str) -> list[alt.LayerChart]:
@@ -127,9 +137,12 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
     dots = base.mark_point(filled=True, size=75).encode(
         color=COLOR, shape=SHAPE, opacity=FADED, tooltip=tips
     )
-    layers = line + bars.encode(y2="high:Q", y="low:Q") + bars.encode(x2="x_high:Q", x="x_low:Q")
-    panel = (layers + dots + names).properties(width=WIDTH, height=HEIGHT)
-    return panel.properties(title=_titled(title, points))
+    upright, level = bars.encode(y="low:Q", y2="high:Q"), bars.encode(x="x_low:Q", x2="x_high:Q")
+    return _layered([line, upright, level, dots, names], _titled(title, points))
+
+
+def _layered(layers: list[alt.Chart], title: alt.TitleParams) -> alt.LayerChart:
+    return alt.layer(*layers, width=WIDTH, height=HEIGHT, title=title)
 
 
 def _titled(title: str, points: pd.DataFrame) -> alt.TitleParams:
@@ -277,25 +290,21 @@ def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.
         y=y, shape=SHAPE, tooltip=["name", "bin", "mean", "low", "high", "n"]
     )
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title=None), y2="high:Q")
-    layers = base.mark_line().encode(y=y) + bars + dots
-    return layers.properties(width=WIDTH, height=HEIGHT, title=_titled(title, points))
+    return _layered([base.mark_line().encode(y=y), bars, dots], _titled(title, points))
 
 
-def page_png(page: alt.VConcatChart) -> bytes:
-    """A page as PNG bytes."""
-    buffer = io.BytesIO()
-    page.save(buffer, format="png", scale_factor=1.5)
-    return buffer.getvalue()
+def page_png(page: dict[str, Any]) -> bytes:
+    """A page, as `to_dict` gives it, as PNG bytes."""
+    return vl_convert.vegalite_to_png(page, scale=1.5)
 
 
-def page_html(page: alt.VConcatChart) -> str:
-    """A page that needs no network."""
-    buffer = io.StringIO()
-    page.save(buffer, format="html", inline=True)
-    return buffer.getvalue()
+def page_html(page: dict[str, Any]) -> str:
+    """A page, as `to_dict` gives it, as HTML that needs no network."""
+    return vl_convert.vegalite_to_html(page, bundle=True)
 
 
 def write_page(stem: Path, page: alt.VConcatChart) -> None:
     """Write a page as `<stem>.png` and `<stem>.html`, each whole or not at all."""
-    write_bytes(stem.with_suffix(".png"), page_png(page))
-    write_text(stem.with_suffix(".html"), page_html(page))
+    converted = page.to_dict()  # once, as it takes about as long as the picture
+    write_bytes(stem.with_suffix(".png"), page_png(converted))
+    write_text(stem.with_suffix(".html"), page_html(converted))

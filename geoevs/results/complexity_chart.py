@@ -4,7 +4,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from geoevs.results.chart_pages import HEIGHT, WIDTH
+from geoevs.results.chart_pages import HEIGHT, WIDTH, stacked
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE
 from geoevs.results.tables import display_name
 
@@ -34,8 +34,7 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         title = f"{dataset}: {display_name(method, CHOSEN)}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
-    page = alt.vconcat(*rows, title=title).resolve_scale(color="shared", shape="shared")
-    return page.configure_view(stroke="#ddd").configure_axis(gridColor="#eee")
+    return stacked(rows, title)
 
 
 def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:

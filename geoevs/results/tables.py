@@ -238,6 +238,7 @@ def _entrants(name: str, scores: pd.DataFrame) -> list[tuple[str, str]]:
     return sorted(listed, key=lambda entrant: order[_group(name, entrant[0])])
 
 
+@cache
 def is_control(method: str) -> bool:
     """Whether a method only marks a floor, a ceiling or a simple baseline."""
     return method in ORACLES or ".controls." in find_methods().get(method, "")

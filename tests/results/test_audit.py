@@ -135,11 +135,11 @@ def test_without_truth_it_speaks_of_the_ceiling_alone(rows):
     page = audit_markdown(tables)
     assert "Noise ceiling" in page
     assert "Ranks" not in page
-    assert page_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
-    assert page_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")
+    assert page_png(agreement_chart(tables["agreement"]).to_dict()).startswith(b"\x89PNG")
+    assert page_png(support_chart(tables["support_bias"]).to_dict()).startswith(b"\x89PNG")
 
 
 def test_charts_are_drawn(rows):
     tables = audit_tables(rows, SETTINGS)
-    assert page_png(agreement_chart(tables["agreement"])).startswith(b"\x89PNG")
-    assert page_png(support_chart(tables["support_bias"])).startswith(b"\x89PNG")
+    assert page_png(agreement_chart(tables["agreement"]).to_dict()).startswith(b"\x89PNG")
+    assert page_png(support_chart(tables["support_bias"]).to_dict()).startswith(b"\x89PNG")

@@ -149,7 +149,7 @@ def test_a_page_shows_distances_of_sets_on_an_axis_of_decades(rows):
     assert "texture_energy ↓ (reversed: up is better)" in json.dumps(
         json.loads(text), ensure_ascii=False
     )
-    assert page_png(page).startswith(b"\x89PNG")
+    assert page_png(page.to_dict()).startswith(b"\x89PNG")
 
 
 def test_costs_have_intervals_and_logarithms(rows):
@@ -216,7 +216,7 @@ def test_exact_copies_beat_what_costs_more_but_are_no_points(rows):
 def test_of_exact_copies_alone_the_cheapest_is_worth_it(rows):
     table = charted(rows, "observed")
     assert table.loc[table["render_seconds_frontier"], "method"].tolist() == ["mean-colour"]
-    assert page_png(draw_page("observed", table, SETTINGS)).startswith(b"\x89PNG")
+    assert page_png(draw_page("observed", table, SETTINGS).to_dict()).startswith(b"\x89PNG")
 
 
 def crowded(count):
@@ -244,10 +244,10 @@ def test_names_of_the_frontier_never_overlap_and_stay_in_the_panel(metric):
 @pytest.mark.parametrize("name", ["extrapolation", "pose_offset"])
 def test_the_page_needs_no_network(rows, name):
     page = draw_page(name, charted(rows, name), SETTINGS)
-    text = page_html(page)
+    text = page_html(page.to_dict())
     assert 'src="http' not in text
     assert "Geo-EVS (t1)" in text
-    assert page_png(page).startswith(b"\x89PNG")
+    assert page_png(page.to_dict()).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("name", TABLES)

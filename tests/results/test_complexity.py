@@ -142,8 +142,8 @@ def test_the_chart_has_a_panel_a_scene_and_needs_no_network(three_scenes):
     (row,) = page.to_dict()["vconcat"]
     titles = [panel["title"] for panel in row["concat"]]
     assert titles == ["u: 3,000 chosen", "s: 9,000 chosen", "t: no chosen size"]
-    assert 'src="http' not in page_html(page)
-    assert page_png(page).startswith(b"\x89PNG")
+    assert 'src="http' not in page_html(page.to_dict())
+    assert page_png(page.to_dict()).startswith(b"\x89PNG")
 
 
 def test_without_fixed_sizes_the_chart_says_how_to_run_them(rows, costs):
@@ -152,7 +152,7 @@ def test_without_fixed_sizes_the_chart_says_how_to_run_them(rows, costs):
     assert "chosen" in table
     page = size_chart(table)
     assert "workflow/scales/complexity.yaml" in page.to_json()
-    assert page_png(page).startswith(b"\x89PNG")
+    assert page_png(page.to_dict()).startswith(b"\x89PNG")
     assert SCALE.exists()
 
 

@@ -206,7 +206,7 @@ def test_the_chart_goes_from_clean_to_hardest(rows):
     table = make_stability_table(rows(*CONTROLS), SETTINGS)
     shown = curves(table, "support")
     assert list(dict.fromkeys(shown["severity"])) == ["clean", "0.1", "0.05", "0.01"]
-    page = page_html(stability_curves(shown, "support"))
+    page = page_html(stability_curves(shown, "support").to_dict())
     assert "valid pixels of the LiDAR condition" in page
     assert 'src="http' not in page
     assert np.isfinite(shown["mean"]).all()

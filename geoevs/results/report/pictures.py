@@ -44,6 +44,11 @@ class View:
     run: Path
 
     @property
+    def place(self) -> tuple[str, str]:
+        """Its data set and scene."""
+        return self.dataset, self.scene
+
+    @property
     def where(self) -> dict[str, str]:
         """What fills the layout's patterns."""
         return {"dataset": self.dataset, "scene": self.scene}
@@ -82,16 +87,18 @@ def comparison(
         for dataset, scene in scenes
         for target in read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
     ]
-    images: dict[str, int] = {}
     with ThreadPoolExecutor(threads) as pool:
         quality, share = _fit(views, labels, budget, pool)
         kept = _thinned(views, share)
+        places = {place: Evidence(run, place) for place in {view.place for view in kept}}
+        pictures = pool.map(lambda view: _pictures(view, places[view.place], labels, quality), kept)
+        images: dict[str, int] = {}
         shown = [
-            view for scene in scenes for view in _shown(kept, scene, labels, quality, images, pool)
+            _described(view, addresses, images)
+            for view, addresses in zip(kept, pictures, strict=True)
         ]
     frames, all_frames = (
-        len({(view.dataset, view.scene, view.target.frame) for view in some})
-        for some in (kept, views)
+        len({(view.place, view.target.frame) for view in some}) for some in (kept, views)
     )
     counts = {"frames": frames, "all_frames": all_frames}
     return {"images": list(images), "views": shown, "quality": quality, **counts}
@@ -101,13 +108,13 @@ def _thinned(views: list[View], share: float) -> list[View]:
     """The views of a share of each scene's frames, evenly spaced, of one at least."""
     frames: dict[tuple[str, str], list[int]] = {}
     for view in views:
-        frames.setdefault((view.dataset, view.scene), []).append(view.target.frame)
+        frames.setdefault(view.place, []).append(view.target.frame)
     kept = {}
     for place, found in frames.items():
         some = sorted(set(found))
         count = max(1, int(share * len(some)))
         kept[place] = {some[k * len(some) // count] for k in range(count)}
-    return [view for view in views if view.target.frame in kept[(view.dataset, view.scene)]]
+    return [view for view in views if view.target.frame in kept[view.place]]
 
 
 def _fit(
@@ -141,48 +148,51 @@ def _bytes(file: Path) -> int:
     return file.stat().st_size
 
 
-def _shown(
-    views: list[View],
-    scene: tuple[str, str],
-    labels: Sequence[str],
-    quality: int,
-    images: dict[str, int],
-    pool: Executor,
-) -> Iterator[dict[str, Any]]:
-    """One scene's views, their pictures added to the images."""
-    where = dict(zip(("dataset", "scene"), scene, strict=True))
-    run = views[0].run if views else Path()
-    mine = [view for view in views if (view.dataset, view.scene) == scene]
-    if not mine:
-        return
-    store = Scene(run / layout.SCENE.format(**where))
-    references = References(run / layout.REFERENCES.format(**where))
-    masks = Masks(run / layout.MASKS.format(**where))
-    truth = run / layout.TRUTH.format(**where)
-    for view in mine:
-        target = view.target
-        pictures: dict[str, tuple[np.ndarray | Path, int | None]] = {}
-        dense = dense_truth(store, truth, target)
+class Evidence:
+    """What a scene's views are judged by, read one view at a time."""
+
+    def __init__(self, run: Path, place: tuple[str, str]) -> None:
+        where = dict(zip(("dataset", "scene"), place, strict=True))
+        self._scene = Scene(run / layout.SCENE.format(**where))
+        self._references = References(run / layout.REFERENCES.format(**where))
+        self._masks = Masks(run / layout.MASKS.format(**where))
+        self._truth = run / layout.TRUTH.format(**where)
+
+    def pictures(self, target: Target) -> Iterator[tuple[str, np.ndarray, bool]]:
+        """Name and pixels of each picture, and whether it may be compressed with loss."""
+        dense = dense_truth(self._scene, self._truth, target)
         if dense is not None:
-            pictures[TRUTH] = to_uint8(dense), quality
+            yield TRUTH, to_uint8(dense), True
         if not target.recorded:
-            reference = references[target.unmasked.key]
-            pictures[REFERENCE] = _with_mask(reference), None
-            pictures[OVERLAY] = validity_picture(reference), None
+            reference = self._references[target.unmasked.key]
+            yield REFERENCE, _with_mask(reference), False
+            if not target.masked:
+                yield OVERLAY, validity_picture(reference), False
         if target.masked:
-            pictures[OVERLAY] = mask_picture(masks[target.key]), None
-        for label in labels:
-            path = view.render(label)
-            if path.exists():
-                pictures[label] = path, quality
-        addresses = pool.map(_address, *zip(*pictures.values(), strict=True))
-        numbers = {
-            name: images.setdefault(address, len(images))
-            for name, address in zip(pictures, addresses, strict=True)
-        }
-        overlay = numbers.pop(OVERLAY, None)
-        name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
-        yield {**where, **name, "overlay": overlay, "pictures": numbers}
+            yield OVERLAY, mask_picture(self._masks[target.key]), False
+
+
+def _pictures(
+    view: View, evidence: Evidence, labels: Sequence[str], quality: int
+) -> dict[str, str]:
+    """The address of every picture of a view, by name."""
+    found = {
+        name: _address(picture, quality if lossy else None)
+        for name, picture, lossy in evidence.pictures(view.target)
+    }
+    renders = {label: view.render(label) for label in labels}
+    return found | {
+        label: _address(path, quality) for label, path in renders.items() if path.exists()
+    }
+
+
+def _described(view: View, addresses: dict[str, str], images: dict[str, int]) -> dict[str, Any]:
+    """A view's names and the numbers of its pictures, which are added to the images."""
+    numbers = {name: images.setdefault(address, len(images)) for name, address in addresses.items()}
+    overlay = numbers.pop(OVERLAY, None)
+    target = view.target
+    name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
+    return {**view.where, **name, "overlay": overlay, "pictures": numbers}
 
 
 def _with_mask(reference: SparseReference) -> np.ndarray:

@@ -84,7 +84,8 @@ def reported(run, tmp_path_factory):
     points = speed_accuracy("extrapolation", scores, spent, SETTINGS)
     write_text(run / "charts/extrapolation.csv", points.to_csv(index=False))
     write_text(
-        run / "charts/extrapolation.html", page_html(draw_page("extrapolation", points, SETTINGS))
+        run / "charts/extrapolation.html",
+        page_html(draw_page("extrapolation", points, SETTINGS).to_dict()),
     )
     write_text(run / "stability/thinning.csv", pd.DataFrame({"level": [1, 2]}).to_csv(index=False))
     write_image(run / "stability/thinning.png", np.full((20, 30, 3), 200, np.uint8))
