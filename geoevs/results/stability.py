@@ -59,17 +59,16 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
     """
     check_fingerprints(scores)
     scores = scores.assign(world=_world(scores))
-    floor = _floor(scores)
+    bar = scores.merge(_floor(scores), on=VIEW, how="left")["floor"].to_numpy()
+    below = (scores["value"] < bar - ROUNDING) | (scores["status"] == FAILED)
     table = []
-    for key, rows in _curves(scores):
+    for key, rows in _curves(scores.assign(below=below)):
         curve = fit_curve(rows, key["stressor"], settings)
         tail = (1 - settings["confidence"]) / 2
         for number, level in enumerate(curve.levels):
             here = _at(rows, level)
             values = here["value"].dropna()
             low, high = _ends(curve.samples[:, number], tail)
-            bar = here.merge(floor, on=VIEW, how="left")
-            below = (bar["value"] < bar["floor"] - ROUNDING) | (bar["status"] == FAILED)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
                 {
@@ -82,7 +81,7 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
                     "high": high,
                     "relative_degradation": 1 - curve.means[number] / curve.means[0],
                     "worst_decile": tenth.mean(),
-                    "failure_rate": below.mean(),
+                    "failure_rate": here["below"].mean(),
                     "n": len(values),
                 }
             )
@@ -128,16 +127,14 @@ def _own_mildest() -> list[str]:
 def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """The rows of every curve, those of CLEAN added where stress starts from there."""
     scores = scores[~scores["metric"].isin(SPREADS)]
-    clean = scores[scores["stressor"] == CLEAN]
-    stressed = scores[scores["stressor"] != CLEAN]
+    clean = scores[scores["stressor"] == CLEAN].assign(level=np.nan)
+    mildest = dict(iter(clean.groupby([*ENTRANT, "metric"], sort=False, dropna=False)))
     by = [*ENTRANT, "stressor", "metric"]
-    for key, rows in stressed.groupby(by, sort=False, dropna=False):
-        named = dict(zip(by, key, strict=True))
-        if named["stressor"] not in _own_mildest():
-            same = clean[[*ENTRANT, "metric"]].eq({k: named[k] for k in (*ENTRANT, "metric")})
-            mildest = clean[same.all(axis=1)].assign(level=np.nan)
-            rows = pd.concat([mildest, rows])
-        yield named, rows
+    for key, rows in scores[scores["stressor"] != CLEAN].groupby(by, sort=False, dropna=False):
+        *entrant, stressor, metric = key
+        if stressor not in _own_mildest() and (*entrant, metric) in mildest:
+            rows = pd.concat([mildest[*entrant, metric], rows])
+        yield dict(zip(by, key, strict=True)), rows
 
 
 def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Curve:
@@ -158,17 +155,20 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Cu
     rng = np.random.default_rng(0)
     by_draw = redraw(np.zeros(len(draws)), settings["resamples"], rng)
     by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings["resamples"], rng)
-    means, samples = [], []
-    for level in levels:
-        cells = _at(rows, level).pivot_table("value", "seed", ["scene", "frame"])
-        cells = cells.reindex(index=draws, columns=frames).to_numpy()
-        present = np.isfinite(cells).astype(np.float64)
-        values = np.where(present > 0, cells, 0.0)
-        with np.errstate(invalid="ignore"):  # nothing at all: 0 / 0
-            means.append(values.sum() / present.sum())
-            totals = (by_draw @ values * by_frame).sum(axis=1)
-            samples.append(totals / (by_draw @ present * by_frame).sum(axis=1))
-    return Curve(levels, np.array(means), np.stack(samples, axis=1))
+    numbers = rows["level"].map({level: number for number, level in enumerate(levels)}).fillna(0)
+    cells = rows.assign(number=numbers.astype(int)).pivot_table(
+        "value", ["number", "seed"], ["scene", "frame"]
+    )
+    every = pd.MultiIndex.from_product([range(len(levels)), draws])
+    values = cells.reindex(index=every, columns=frames).to_numpy()
+    values = values.reshape(len(levels), len(draws), len(frames))
+    present = np.isfinite(values).astype(np.float64)
+    values = np.where(present > 0, values, 0.0)
+    with np.errstate(invalid="ignore"):  # nothing at all: 0 / 0
+        means = values.sum(axis=(1, 2)) / present.sum(axis=(1, 2))
+        totals = (by_draw @ values * by_frame).sum(axis=2)
+        samples = totals / (by_draw @ present * by_frame).sum(axis=2)
+    return Curve(levels, means, samples.T)
 
 
 def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
@@ -226,7 +226,7 @@ def _breaking_point(
         "level": labels[first],
         "low": labels[int(ends[0])],
         "high": labels[int(ends[1])],
-        "control": names[best[min(first, defined[-1])]][0],
+        "control": display_name(*names[best[min(first, defined[-1])]]),
         "lead": curve.means[0] - bar[0, 0],
     }
 

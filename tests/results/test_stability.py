@@ -136,6 +136,13 @@ def test_levels_that_no_control_has_a_value_at_judge_nobody(rows, values, level,
     assert row["control"] == control
 
 
+def test_a_control_is_named_with_its_variant(rows):
+    better = curve("reproject-inpaint", 26.0, [22.0] * 3, variant="all-frames")
+    made = rows(*CONTROLS, *better, *curve("mine", 27, [25, 21, 8]))
+    row = one(breaking_points(made, SETTINGS), method="mine")
+    assert (row["level"], row["control"]) == ("0.05", "reproject-inpaint (all-frames)")
+
+
 def test_where_the_hardest_level_is_undefined_the_last_that_is_names_the_control(rows):
     controls = [
         *curve("mean-colour", 10.0, [10.0, 10.0, math.nan]),
