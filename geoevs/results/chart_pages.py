@@ -138,10 +138,11 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
         color=COLOR, shape=SHAPE, opacity=FADED, tooltip=tips
     )
     upright, level = bars.encode(y="low:Q", y2="high:Q"), bars.encode(x="x_low:Q", x2="x_high:Q")
-    return _layered([line, upright, level, dots, names], _titled(title, points))
+    return layered([line, upright, level, dots, names], _titled(title, points))
 
 
-def _layered(layers: list[alt.Chart], title: alt.TitleParams) -> alt.LayerChart:
+def layered(layers: list[alt.Chart], title: alt.TitleParams | str) -> alt.LayerChart:
+    """Layers, the lowest first, as a panel of the size that all have."""
     return alt.layer(*layers, width=WIDTH, height=HEIGHT, title=title)
 
 
@@ -290,7 +291,7 @@ def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.
         y=y, shape=SHAPE, tooltip=["name", "bin", "mean", "low", "high", "n"]
     )
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title=None), y2="high:Q")
-    return _layered([base.mark_line().encode(y=y), bars, dots], _titled(title, points))
+    return layered([base.mark_line().encode(y=y), bars, dots], _titled(title, points))
 
 
 def page_png(page: dict[str, Any]) -> bytes:

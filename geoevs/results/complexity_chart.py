@@ -4,7 +4,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from geoevs.results.chart_pages import HEIGHT, WIDTH, stacked
+from geoevs.results.chart_pages import WIDTH, layered, stacked
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE
 from geoevs.results.tables import display_name
 
@@ -63,11 +63,11 @@ def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:
     dots = base.mark_point(filled=True, opacity=1).encode(
         y=y, shape=shape.legend(orient="top"), size=size, tooltip=tips
     )
-    layers = lines + bars + dots
+    layers = [lines, bars, dots]
     chosen = fits["chosen"].iloc[0]
     title = f"{scene}: no chosen size"
     if np.isfinite(chosen):
         mark = alt.Chart(pd.DataFrame({"primitives": [chosen]}))
-        layers = mark.mark_rule(strokeDash=[4, 3], color="#888").encode(x=x) + layers
+        layers.insert(0, mark.mark_rule(strokeDash=[4, 3], color="#888").encode(x=x))
         title = f"{scene}: {chosen:,.0f} chosen"
-    return layers.properties(width=WIDTH, height=HEIGHT, title=title)
+    return layered(layers, title)

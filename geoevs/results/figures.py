@@ -67,31 +67,51 @@ def table_grid(
         shown = [[(target, keeps[0]) for target in some] for some in _sample(targets, count)]
     rows = []
     for (dataset, scene), picked in zip(scenes, shown, strict=True):
-        where = {"dataset": dataset, "scene": scene}
-        store = Scene(run / layout.SCENE.format(**where))
-        references = References(run / layout.REFERENCES.format(**where))
-        masks = Masks(run / layout.MASKS.format(**where))
-        truth = run / layout.TRUTH.format(**where)
+        evidence = Evidence(run, dataset, scene)
         for target, keep in picked:
-            dense = dense_truth(store, truth, target)
-            evidence = [None if dense is None else to_uint8(dense)]
+            pictures = [evidence.truth(target)]
             if target.masked:
-                evidence.append(mask_picture(masks[target.key]))
+                pictures.append(mask_picture(evidence.mask(target)))
             elif not target.recorded:
-                reference = references[target.key]
+                reference = evidence.reference(target)
                 image = reference.image() * reference.mask(keep)[..., None]
-                evidence += [_thicken(to_uint8(image)), validity_picture(reference, keep)]
+                pictures += [_thicken(to_uint8(image)), validity_picture(reference, keep)]
+            where = {"dataset": dataset, "scene": scene}
             renders = [
                 _read_render(run / layout.RENDERS.format(label=label, **where), target)
                 for label in labels
             ]
             share = "" if table != "sparsity" else f", {keep:.0%} of reference"
             name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
-            rows.append(Row(name, [*evidence, *renders]))
+            rows.append(Row(name, [*pictures, *renders]))
     columns = [*_evidence_names(spec), *labels]
     used = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
     rows = [Row(row.label, [row.pictures[k] for k in used]) for row in rows]
     return encode_png(draw_grid([columns[k] for k in used], rows))
+
+
+class Evidence:
+    """What a scene's targets are judged by, found under a run's folder by its usual names."""
+
+    def __init__(self, run: Path, dataset: str, scene: str) -> None:
+        where = {"dataset": dataset, "scene": scene}
+        self._scene = Scene(run / layout.SCENE.format(**where))
+        self._references = References(run / layout.REFERENCES.format(**where))
+        self._masks = Masks(run / layout.MASKS.format(**where))
+        self._truth = run / layout.TRUTH.format(**where)
+
+    def truth(self, target: Target) -> np.ndarray | None:
+        """(H, W, 3) uint8: the target's true pixels, or None where nobody knows them."""
+        dense = dense_truth(self._scene, self._truth, target)
+        return None if dense is None else to_uint8(dense)
+
+    def reference(self, target: Target) -> SparseReference:
+        """The sparse reference of a target that no camera recorded, masked or not."""
+        return self._references[target.unmasked.key]
+
+    def mask(self, target: Target) -> ConditionMask:
+        """How a masked target's condition was degraded."""
+        return self._masks[target.key]
 
 
 def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:

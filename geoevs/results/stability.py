@@ -155,6 +155,7 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Cu
     rng = np.random.default_rng(0)
     by_draw = redraw(np.zeros(len(draws)), settings["resamples"], rng)
     by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings["resamples"], rng)
+    # Without stress, NaN, is the first of the levels where there is such a one.
     numbers = rows["level"].map({level: number for number, level in enumerate(levels)}).fillna(0)
     cells = rows.assign(number=numbers.astype(int)).pivot_table(
         "value", ["number", "seed"], ["scene", "frame"]

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import repeat
@@ -15,12 +15,9 @@ from PIL import Image
 
 from geoevs import layout
 from geoevs.io import read_image, to_uint8
-from geoevs.protocol.masks import Masks
-from geoevs.protocol.reference import References, SparseReference
+from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import Target, read_targets
-from geoevs.protocol.truth import dense_truth
-from geoevs.results.figures import mask_picture, validity_picture
-from geoevs.scenes.store import Scene
+from geoevs.results.figures import Evidence, mask_picture, validity_picture
 
 WIDEST = 384
 """Pixels; wider pictures are shrunk to this."""
@@ -90,8 +87,10 @@ def comparison(
     with ThreadPoolExecutor(threads) as pool:
         quality, share = _fit(views, labels, budget, pool)
         kept = _thinned(views, share)
-        places = {place: Evidence(run, place) for place in {view.place for view in kept}}
-        pictures = pool.map(lambda view: _pictures(view, places[view.place], labels, quality), kept)
+        evidence = {place: Evidence(run, *place) for place in {view.place for view in kept}}
+        pictures = pool.map(
+            lambda view: _pictures(view, evidence[view.place], labels, quality), kept
+        )
         images: dict[str, int] = {}
         shown = [
             _described(view, addresses, images)
@@ -148,42 +147,26 @@ def _bytes(file: Path) -> int:
     return file.stat().st_size
 
 
-class Evidence:
-    """What a scene's views are judged by, read one view at a time."""
-
-    def __init__(self, run: Path, place: tuple[str, str]) -> None:
-        where = dict(zip(("dataset", "scene"), place, strict=True))
-        self._scene = Scene(run / layout.SCENE.format(**where))
-        self._references = References(run / layout.REFERENCES.format(**where))
-        self._masks = Masks(run / layout.MASKS.format(**where))
-        self._truth = run / layout.TRUTH.format(**where)
-
-    def pictures(self, target: Target) -> Iterator[tuple[str, np.ndarray, bool]]:
-        """Name and pixels of each picture, and whether it may be compressed with loss."""
-        dense = dense_truth(self._scene, self._truth, target)
-        if dense is not None:
-            yield TRUTH, to_uint8(dense), True
-        if not target.recorded:
-            reference = self._references[target.unmasked.key]
-            yield REFERENCE, _with_mask(reference), False
-            if not target.masked:
-                yield OVERLAY, validity_picture(reference), False
-        if target.masked:
-            yield OVERLAY, mask_picture(self._masks[target.key]), False
-
-
 def _pictures(
     view: View, evidence: Evidence, labels: Sequence[str], quality: int
 ) -> dict[str, str]:
     """The address of every picture of a view, by name."""
-    found = {
-        name: _address(picture, quality if lossy else None)
-        for name, picture, lossy in evidence.pictures(view.target)
-    }
-    renders = {label: view.render(label) for label in labels}
-    return found | {
-        label: _address(path, quality) for label, path in renders.items() if path.exists()
-    }
+    target, found = view.target, {}
+    truth = evidence.truth(target)
+    if truth is not None:
+        found[TRUTH] = _address(truth, quality)
+    if not target.recorded:
+        reference = evidence.reference(target)
+        found[REFERENCE] = _address(_with_mask(reference), None)
+        if not target.masked:
+            found[OVERLAY] = _address(validity_picture(reference), None)
+    if target.masked:
+        found[OVERLAY] = _address(mask_picture(evidence.mask(target)), None)
+    for label in labels:
+        path = view.render(label)
+        if path.exists():
+            found[label] = _address(path, quality)
+    return found
 
 
 def _described(view: View, addresses: dict[str, str], images: dict[str, int]) -> dict[str, Any]:
