@@ -19,10 +19,14 @@ from geoevs.cli.arguments import (
 )
 from geoevs.errors import GeoEvsError
 
+RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
+DatasetName = Annotated[str, typer.Option(help="The data set; left out, the first.")]
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (*(collect, grid, chart, report, manifest, install_weights, failures, why),):
+    commands = collect, grid, chart, report, manifest, install_weights, failures
+    for command in (*commands, why, compare):
         app.command()(command)
 
 
@@ -176,19 +180,41 @@ def why(
         ),
     ],
     metric: Annotated[str, typer.Argument(help="The column, such as sparse_psnr.")],
-    run: Annotated[str, typer.Option(help="The run's name, or its folder.")] = "default",
+    run: RunName = "default",
     bin: Annotated[
         str,
         typer.Option(
             help="The row's bin, such as 5-10; for geometry STAGE/SCALE, for complexity the scene."
         ),
     ] = "",
-    dataset: Annotated[str, typer.Option(help="The data set; left out, the first.")] = "",
+    dataset: DatasetName = "",
 ) -> None:
     """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
     from geoevs.results.why import explain
     from geoevs.results.why_found import Cell
 
-    folder = Path(run) if "/" in run else Path("results") / run
-    for line in explain(Cell(table, entrant, metric, bin, dataset), folder):
+    for line in explain(Cell(table, entrant, metric, bin, dataset), _folder(run)):
         print(line)
+
+
+def compare(
+    table: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
+    first: Annotated[str, typer.Argument(help="METHOD or METHOD.VARIANT, as in the config.")],
+    second: Annotated[str, typer.Argument(help="The one that is subtracted from it.")],
+    run: RunName = "default",
+    dataset: DatasetName = "",
+) -> None:
+    """Say by how much one entrant is better than another on the same views, and how surely.
+
+    Differences are of pairs: the same view by both. Their intervals redraw frames within scenes,
+    and training seeds where there are several, so that what makes a view hard for both does not
+    widen them: two entrants may differ surely although their own intervals overlap.
+    """
+    from geoevs.results.compare import compare_entrants, comparison_text
+
+    found = compare_entrants(table, first, second, _folder(run), dataset)
+    print(comparison_text(found, first, second))
+
+
+def _folder(run: str) -> Path:
+    return Path(run) if "/" in run else Path("results") / run

@@ -69,8 +69,8 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
     header = ["method", *(["bin"] if spec.bins else [])]
     for metric in shown:
         if f"{metric}_paper" in rows:
-            header.append(f"{metric} {_arrow(metric)} paper")
-        header.append(f"{metric} {_arrow(metric)}")
+            header.append(f"{metric} {arrow(metric)} paper")
+        header.append(f"{metric} {arrow(metric)}")
         if metric in spec.set_metrics and rows[f"{metric}_floor"].notna().any():
             header.append(f"{metric} floor")
     body = []
@@ -80,11 +80,11 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         line += [row["bin"]] if spec.bins else []
         for metric in shown:
             if f"{metric}_paper" in rows:
-                line.append(_number(metric, row[f"{metric}_paper"]))
+                line.append(number(metric, row[f"{metric}_paper"]))
             without = metric in lacking and row["unmeasured"]
             line.append("no weights" if without else _measured(metric, row))
             if f"{metric} floor" in header:
-                line.append(_number(metric, row[f"{metric}_floor"]))
+                line.append(number(metric, row[f"{metric}_floor"]))
         body.append([*line, str(row["n"]) if row["n"] else "", row["note"]])
     return [*header, "n", "note"], body
 
@@ -93,11 +93,13 @@ def _has_content(rows: pd.DataFrame, metric: str) -> bool:
     return f"{metric}_paper" in rows or rows[metric].notna().any()
 
 
-def _arrow(metric: str) -> str:
+def arrow(metric: str) -> str:
+    """Which way a metric is better."""
     return "↑" if metric not in SET_METRICS and METRICS[metric].higher_is_better else "↓"
 
 
-def _number(metric: str, value: float) -> str:
+def number(metric: str, value: float) -> str:
+    """A metric's value as tables write it; nothing for NaN."""
     if math.isnan(value):
         return ""
     if math.isinf(value):
@@ -106,10 +108,10 @@ def _number(metric: str, value: float) -> str:
 
 
 def _measured(metric: str, row: dict) -> str:
-    text = _number(metric, row[metric])
+    text = number(metric, row[metric])
     if text and not math.isnan(row[f"{metric}_low"]) and not math.isinf(row[metric]):
         text += (
-            f" [{_number(metric, row[f'{metric}_low'])}, {_number(metric, row[f'{metric}_high'])}]"
+            f" [{number(metric, row[f'{metric}_low'])}, {number(metric, row[f'{metric}_high'])}]"
         )
     return text + (" ▼" if metric in row["below_floor"].split() else "")
 

@@ -8,7 +8,6 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
-from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.tables import TABLES, TableSpec, bin_names, make_table, table_spec
@@ -29,7 +28,7 @@ def explain(cell: Cell, run: Path) -> list[str]:
     _refuse_suites(cell.table, run)
     known("table", cell.table, [*TABLES, *OTHERS])
     found = OTHERS.get(cell.table, _of_table)(cell, record)
-    fingerprints = record.scores.loc[record.scores["dataset"] == record.dataset(cell)]
+    fingerprints = record.scores.loc[record.scores["dataset"] == record.dataset(cell.dataset)]
     lines = list(found.value)
     for some in found.rows:
         where = run / some.file
@@ -50,14 +49,12 @@ def explain(cell: Cell, run: Path) -> list[str]:
 def _of_table(cell: Cell, record: Record) -> Found:
     """A cell of one of TABLES."""
     spec = table_spec(cell.table)
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     known("metric", cell.metric, (*spec.metrics, *spec.set_metrics))
     label = known("bin", cell.bin, bin_names(spec, record.settings))
-    method = MethodEntry.parse(cell.entrant, {}, 0)
+    method = record.entrant(cell.entrant, dataset)
     scores, sets = record.scores, record.read(layout.SET_SCORES)
     here = scores[scores["dataset"] == dataset]
-    pairs = here[["method", "variant"]].drop_duplicates().itertuples(index=False, name=None)
-    known("entrant", method.label, [MethodEntry(*pair).label for pair in pairs])
     table = make_table(cell.table, here, record.settings, sets[sets["dataset"] == dataset])
     chosen = (table["method"] == method.method) & (table["variant"] == method.variant)
     row = table[chosen & (table["bin"] == label if spec.bins else True)].iloc[0]

@@ -107,10 +107,18 @@ class Record:
         with whole_file(self.run / name):
             return pd.read_parquet(self.run / name)
 
-    def dataset(self, cell: Cell) -> str:
-        """The cell's data set."""
+    def dataset(self, name: str) -> str:
+        """The data set of that name; the run's first where it is empty."""
         here = self.scores["dataset"]
-        return known("data set", cell.dataset or here.iloc[0], here)
+        return known("data set", name or here.iloc[0], here)
+
+    def entrant(self, name: str, dataset: str) -> MethodEntry:
+        """The method and variant called METHOD or METHOD.VARIANT, if the data set has it."""
+        here = self.scores.loc[self.scores["dataset"] == dataset, ["method", "variant"]]
+        pairs = here.drop_duplicates().itertuples(index=False, name=None)
+        entrant = MethodEntry.parse(name, {}, 0)
+        known("entrant", entrant.name, [MethodEntry(*pair).name for pair in pairs])
+        return entrant
 
     def entries(self, dataset: str, method: str, variants: Iterable[str]) -> list[MethodEntry]:
         """The variants of a method with every seed that each was run with."""

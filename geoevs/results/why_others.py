@@ -22,7 +22,7 @@ IN_CONFIG = "to `methods` in the config"
 
 def why_ablation(cell: Cell, record: Record) -> Found:
     """A cell of the ablation table; the entrant is the variant, `geo-evs` the full model."""
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     table = ablation.make_ablation_table(_of(record.scores, dataset), record.settings)
     names = [MethodEntry(ablation.METHOD, variant).name for variant in table["variant"] if variant]
     name = _entrant(cell, names, dataset, f"a variant of {ablation.METHOD} {IN_CONFIG}")
@@ -59,7 +59,7 @@ def why_ablation(cell: Cell, record: Record) -> Found:
 
 def why_geometry(cell: Cell, record: Record) -> Found:
     """A cell of the geometry table; the entrant is the depth model, the bin STAGE/SCALE."""
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     scores = record.read(layout.DEPTH_SCORES)
     here = _of(scores, dataset)
     table = geometry_table.make_geometry_table(here, record.settings)
@@ -101,7 +101,7 @@ def why_geometry(cell: Cell, record: Record) -> Found:
 
 def why_complexity(cell: Cell, record: Record) -> Found:
     """A cell of the complexity table; the entrant is the method, the bin a scene or `mean`."""
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     scores, spent = _of(record.scores, dataset), _of(record.costs, dataset)
     table = complexity.make_complexity_table(scores, spent)
     remedy = f"fixed sizes with `{complexity.ADDS_SIZES}`"
@@ -133,7 +133,7 @@ def why_complexity(cell: Cell, record: Record) -> Found:
 
 def why_costs(cell: Cell, record: Record) -> Found:
     """A cell of the cost table."""
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     table = costs.make_cost_table(_of(record.costs, dataset))
     names = [MethodEntry(row.method, row.variant).name for row in table.itertuples()]
     name = known("entrant", cell.entrant, names)
@@ -164,7 +164,7 @@ def why_costs(cell: Cell, record: Record) -> Found:
 
 def why_rank_agreement(cell: Cell, record: Record) -> Found:
     """A tau of the rank agreement; the entrant is the paper's table, the metric what ranks."""
-    dataset = record.dataset(cell)
+    dataset = record.dataset(cell.dataset)
     scores = _of(record.scores, dataset)
     name = known("table of the paper", cell.entrant, rank_agreement.RANKED_TABLES)
     printed = paper_values(name)

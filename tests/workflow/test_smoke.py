@@ -255,6 +255,24 @@ def test_why_names_what_a_cell_was_made_of(smoke_run):
     assert jobs == ["fit", "render", "score"]
 
 
+def test_compare_says_what_a_table_leaves_open(smoke_run):
+    workspace, _ = smoke_run
+    command = [sys.executable, "-m", "geoevs.cli.main", "compare", "extrapolation"]
+    run = subprocess.run(
+        [*command, "reproject-inpaint", "mean-colour", "--run", "smoke"],
+        cwd=workspace.folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    table = pd.read_csv(workspace.folder / "results/smoke/tables/extrapolation.csv")
+    means = table[table["variant"] == "default"].set_index("method")["psnr"]
+    line = next(line.split() for line in run.stdout.splitlines() if line.split()[0] == "psnr")
+    assert line[2:4] == [f"{means[name]:.2f}" for name in ("reproject-inpaint", "mean-colour")]
+    gain = means["reproject-inpaint"] - means["mean-colour"]
+    assert float(line[4]) == pytest.approx(gain, abs=0.011)
+
+
 def test_a_second_call_has_nothing_to_do(smoke_run):
     workspace, _ = smoke_run
     wanted = (*workspace.EVERYTHING, "report")

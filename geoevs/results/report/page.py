@@ -68,7 +68,7 @@ def make_page(run: Path, threads: int = 1) -> str:
     """
     manifest = read_json(run / layout.MANIFEST)
     columns = ["dataset", "scene", "frame", "target", "split", "method", "variant", "seed"]
-    columns += ["metric", "value", "support_ratio", "pose_offset", "stressor"]
+    columns += ["metric", "value", "support_ratio", "pose_offset", "stressor", "level"]
     scores = _rows(run / layout.SCORES, [*columns, "status", "reason", "fingerprint"])
     costs, sets = _rows(run / layout.COSTS), _rows(run / layout.SET_SCORES)
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}

@@ -8,8 +8,17 @@ import pandas as pd
 from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.charts import speed_accuracy
+from geoevs.results.compare import paired_of, rows_of
 from geoevs.results.failures import Failure
-from geoevs.results.tables import FLOOR, bin_names, display_name, make_table, table_spec
+from geoevs.results.summary import PairedDifference
+from geoevs.results.tables import (
+    FLOOR,
+    bin_names,
+    display_name,
+    make_table,
+    table_rows,
+    table_spec,
+)
 
 METRIC_NAMES = {"sparse_psnr": "sparse PSNR", "psnr": "PSNR over all pixels"}
 
@@ -25,12 +34,14 @@ def summarise_run(scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str,
     points = speed_accuracy("extrapolation", scores, costs, settings)
     curves = speed_accuracy("pose_offset", scores, costs, settings)
     table = make_table("extrapolation", scores, settings)
+    rows = table_rows(table_spec("extrapolation"), scores, settings)
     sentences = []
     for dataset in scores["dataset"].unique():
         here = points[points["dataset"] == dataset]
         sentences.append(_extent(scores[scores["dataset"] == dataset]))
         for metric in METRIC_NAMES:
-            sentences += _best(here[here["metric"] == metric], metric)
+            mine = rows[(rows["dataset"] == dataset) & (rows["metric"] == metric)]
+            sentences += _best(here[here["metric"] == metric], mine, settings)
         sentences += _frontier(here[here["metric"] == "sparse_psnr"])
         bins = bin_names(table_spec("pose_offset"), settings)
         sentences += _decline(curves[curves["dataset"] == dataset], bins)
@@ -62,25 +73,31 @@ def _extent(rows: pd.DataFrame) -> str:
     )
 
 
-def _best(points: pd.DataFrame, metric: str) -> Iterator[str]:
-    """The best method, and how it compares with the best control."""
+def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: dict[str, Any]) -> Iterator[str]:
+    """The best method, and how it compares with the best control on the same views."""
     ranked = points.sort_values("mean", ascending=False)
     methods, controls = ranked[~ranked["control"]], ranked[ranked["control"]]
     if methods.empty:
         return
     best = methods.iloc[0]
-    sentence = f"By {METRIC_NAMES[metric]} of extrapolated views {_scored(best)} is the best method"
+    views = f"{METRIC_NAMES[best['metric']]} of extrapolated views"
+    sentence = f"By {views} {_scored(best)} is the best method"
     if len(controls):
         control = controls.iloc[0]
-        gap = best["mean"] - control["mean"]
-        way = "above" if gap >= 0 else "below"
-        sentence += f", {abs(gap):.2f} dB {way} the best control, {_scored(control)}"
-        upper, lower = (best, control) if gap >= 0 else (control, best)
-        if pd.isna(upper["low"]) or pd.isna(lower["high"]):
-            sentence += "; one frame a scene gives no interval"
-        elif lower["high"] >= upper["low"]:
-            sentence += "; their intervals overlap, so that this order is not certain"
+        both = (rows_of(rows, row["method"], row["variant"]) for row in (best, control))
+        sentence += f"; the best control is {_scored(control)}{_gain(paired_of(*both, settings))}"
     yield f"{sentence}."
+
+
+def _gain(gap: PairedDifference) -> str:
+    """What is gained view by view, and whether that is certain."""
+    if not gap.pairs:
+        return ""
+    gain = f", on which it gains {gap.mean:+.2f} dB view by view"
+    if pd.isna(gap.low):
+        return f"{gain}; one frame a scene gives no interval"
+    doubt = ", so that which of them is better is not certain" if gap.low <= 0 <= gap.high else ""
+    return f"{gain} [{gap.low:+.2f}, {gap.high:+.2f}]{doubt}"
 
 
 def _scored(row: pd.Series) -> str:

@@ -70,7 +70,8 @@ def test_the_summary_is_made_from_the_numbers(reported):
     text = re.sub(r"&#3[49];", "'", page.read_text())
     # Frames 0 and 1 of one scene: the mean of 22 and 23.
     assert "By sparse PSNR of extrapolated views Geo-EVS (22.50 [" in text
-    assert "2.00 dB above the best control, reproject (20.50 [" in text
+    assert "the best control is reproject (20.50 [" in text
+    assert "gains +2.00 dB view by view [+2.00, +2.00]." in text
     frontier = "mean-colour (0.001 s a view, 11.50 dB), reproject (0.01 s a view, 20.50 dB), "
     assert f"each of these: {frontier}Geo-EVS (0.1 s a view, 22.50 dB)." in text
     assert "Worse than one colour (mean-colour) on extrapolated views: grey on " in text
