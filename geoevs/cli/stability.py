@@ -105,19 +105,15 @@ def stability_table(
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
     from geoevs.io import write_text
-    from geoevs.results.stability import (
-        breaking_points,
-        make_stability_table,
-        seed_spread,
-        stability_markdown,
-    )
+    from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
+    from geoevs.results.stability_page import stability_markdown
 
     rows, section = read_rows(scores), parse_json("--settings", settings)
     broken, spread = breaking_points(rows, section), seed_spread(rows, section)
     made = make_stability_table(rows, section)
     for name, table in (("stability", made), ("breaking_points", broken), ("seed_spread", spread)):
         write_text(out / f"{name}.csv", table.to_csv(index=False))
-    write_text(out / "breaking_points.md", stability_markdown(broken, spread))
+    write_text(out / "breaking_points.md", stability_markdown(made, broken, spread))
 
 
 def stability_chart(

@@ -1,6 +1,6 @@
 """Where methods break: curves over graded stress, breaking points and seed spread, from rows."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.stability import CLEAN
 from geoevs.protocol.stability_scoring import SPREADS
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.formats import markdown_grid
 from geoevs.results.summary import redraw, summarise
 from geoevs.results.tables import FLOOR, display_name, is_control
 
@@ -20,7 +19,8 @@ ENTRANT = ["dataset", "method", "variant"]
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
     *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
-    *("mean", "low", "high", "relative_degradation", "worst_decile", "failure_rate", "n"),
+    *("mean", "low", "high", "change", "change_low", "change_high"),
+    *("relative_degradation", "worst_decile", "failure_rate", "n"),
 ]
 BREAKING_COLUMNS = [
     *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead"),
@@ -49,8 +49,9 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
         settings: the config's `tables` section.
 
     Returns:
-        COLUMNS. `mean` and its interval are over frames and draws; `relative_degradation` is the
-        share of the mildest level's mean that is lost; `worst_decile` is the mean of the worst
+        COLUMNS. `mean` and its interval are over frames and draws; `change` is the mean minus the
+        mildest level's, in the metric's unit; `relative_degradation` is the share of the mildest
+        level's mean that is lost; `worst_decile` is the mean of the worst
         tenth of views; `failure_rate` is the share of views that were not delivered, or that are
         below what the floor control scores on them, in their world, without stress.
 
@@ -69,6 +70,8 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
             here = _at(rows, level)
             values = here["value"].dropna()
             low, high = _ends(curve.samples[:, number], tail)
+            changes = curve.samples[:, number] - curve.samples[:, 0]
+            change_low, change_high = _ends(changes, tail)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
                 {
@@ -79,6 +82,9 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
                     "mean": curve.means[number],
                     "low": low,
                     "high": high,
+                    "change": curve.means[number] - curve.means[0],
+                    "change_low": change_low,
+                    "change_high": change_high,
                     "relative_degradation": 1 - curve.means[number] / curve.means[0],
                     "worst_decile": tenth.mean(),
                     "failure_rate": here["below"].mean(),
@@ -249,41 +255,3 @@ def seed_spread(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
     rows = scores[scores["metric"].isin(SPREADS)]
     rows = rows.assign(value=255 * rows["value"])
     return summarise(rows, [*ENTRANT, "metric"], settings["resamples"], settings["confidence"])
-
-
-LEGEND = """The first level at which a method's mean is below that of the best control under the
-same stress [over resamples of frames and draws: from the mildest to the hardest]. *clean*: it is
-below before any stress. *none*: it stays above up to the hardest level.
-"""
-
-
-def stability_markdown(broken: pd.DataFrame, spread: pd.DataFrame) -> str:
-    """Breaking points, a table for every data set and metric; then the seed spread."""
-    parts = ["# Breaking points\n", LEGEND]
-    if len(broken):
-        for (dataset, metric), rows in broken.groupby(["dataset", "metric"], sort=False):
-            parts.append(f"## {dataset}, {metric}\n\n{_broken_grid(rows)}\n")
-    parts.append("# Seed spread\n")
-    parts.append(
-        "Standard deviation over draws without stress, in 8-bit levels, where raw reprojection "
-        "supports a pixel and where not.\n"
-    )
-    body = []
-    for key, rows in spread.groupby(ENTRANT, sort=False):
-        means = rows.set_index("metric")["mean"]
-        body.append([display_name(*key[1:]), *(f"{means[name]:.2f}" for name in SPREADS)])
-    parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
-    return "\n".join(parts)
-
-
-def _broken_grid(rows: pd.DataFrame) -> str:
-    stressors: Sequence[str] = rows["stressor"].unique().tolist()
-    body = []
-    for (method, variant), mine in rows.groupby(["method", "variant"], sort=False):
-        cells = []
-        for stressor in stressors:
-            (point,) = mine[mine["stressor"] == stressor].to_dict("records")
-            interval = f" [{point['low']}, {point['high']}]"
-            cells.append(point["level"] + ("" if point["low"] == point["high"] else interval))
-        body.append([display_name(method, variant), *cells])
-    return markdown_grid(["method", *stressors], body)

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from geoevs.results.chart_pages import page_html
-from geoevs.results.stability import (
-    breaking_points,
-    make_stability_table,
-    seed_spread,
-    stability_markdown,
-)
+from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
 from geoevs.results.stability_chart import curves, stability_curves
+from geoevs.results.stability_page import stability_markdown
 
 SETTINGS = {"resamples": 200, "confidence": 0.9}
 LEVELS = [0.1, 0.05, 0.01]
@@ -34,6 +30,12 @@ def curve(method, clean, values, stressor="support", levels=LEVELS, wobble=0.0, 
     ]
 
 
+def page_of(scores):
+    """The suite's page in words."""
+    made = (make(scores, SETTINGS) for make in (make_stability_table, breaking_points, seed_spread))
+    return stability_markdown(*made)
+
+
 def one(table, **where):
     for column, value in where.items():
         table = table[table[column] == value]
@@ -53,6 +55,7 @@ def test_a_curve_starts_clean_and_says_what_is_lost(rows):
     assert mine["level"].tolist()[1:] == LEVELS  # hardest last
     assert math.isnan(mine["level"].iloc[0])
     assert mine["mean"].tolist() == [25, 20, 15, 5]
+    assert mine["change"].tolist() == [0, -5, -10, -20]
     assert mine["relative_degradation"].tolist() == pytest.approx([0, 0.2, 0.4, 0.8])
     assert mine["failure_rate"].tolist() == [0, 0, 0, 1]  # below the floor's 10 dB
     assert mine["n"].tolist() == [4] * 4
@@ -78,6 +81,34 @@ def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):
     row = one(table[table["level"].isna()], method="mine")
     assert (row["low"], row["mean"], row["high"]) == (24, 25, 26)
     assert row["worst_decile"] == 24
+
+
+def test_a_change_is_of_the_same_draws(rows):
+    # Draws lie 2 dB apart, but each loses the same at every level.
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, [20] * 3, wobble=1)), SETTINGS)
+    row = one(table, method="mine", level=0.01)
+    assert (row["low"], row["high"]) == (19, 21)
+    assert row["change"] == -5
+    assert math.isnan(row["change_low"])  # it is the same in every resample
+    uneven = [
+        row | ({"value": row["value"] - 1} if row["seed"] and row["level"] == 0.01 else {})
+        for row in curve("mine", 25, [20] * 3)
+    ]
+    row = one(make_stability_table(rows(*CONTROLS, *uneven), SETTINGS), method="mine", level=0.01)
+    assert (row["change_low"], row["change"], row["change_high"]) == (-6, -5.5, -5)
+
+
+def test_the_page_says_what_the_hardest_level_leaves(rows):
+    uneven = [
+        row | ({"value": row["value"] - 1} if row["seed"] and row["level"] == 0.01 else {})
+        for row in curve("mine", 25, [20, 15, 12])
+    ]
+    page = page_of(rows(*CONTROLS, *uneven, *curve("three-dgs", 20.0, [15, 15, 9])))
+    left = page.split("# What the hardest level leaves")[1].split("# Seed spread")[0]
+    assert "| method | support 0.01 |" in left
+    assert "| *reproject-inpaint* | 9.0 ▼, -15.0 |" in left  # the floor has 10
+    assert "| mine | 11.5, -13.5 [-14.0, -13.0] |" in left
+    assert "| 3DGS | 9.0 ▼, -11.0 |" in left
 
 
 def test_undelivered_views_are_failures(rows):
@@ -160,12 +191,13 @@ def test_a_metric_that_nobody_has_breaks_nobody(rows):
         for method in ("mean-colour", "mine")
         for row in curve(method, None, [math.nan] * 3, "motion", [0, 5, 10], metric="psnr_moving")
     ]
-    broken = breaking_points(rows(*CONTROLS, *curve("mine", 25, [21, 17, 11]), *nobody), SETTINGS)
+    made = rows(*CONTROLS, *curve("mine", 25, [21, 17, 11]), *nobody)
+    broken = breaking_points(made, SETTINGS)
     row = one(broken, method="mine", metric="psnr_moving")
     assert (row["level"], row["low"], row["high"], row["control"]) == ("", "", "", "")
-    page = stability_markdown(broken, seed_spread(rows()[:0], SETTINGS))
-    assert "## d, psnr_moving" in page
-    assert "| mine |  |" in page
+    page = page_of(made)
+    assert page.count("## d, psnr_moving") == 2
+    assert page.count("| mine |  |") == 2
 
 
 def test_resamples_without_a_value_break_nobody(rows):
@@ -197,16 +229,13 @@ def test_poses_start_from_their_own_mildest_level(rows):
 
 
 def test_spread_is_in_8_bit_levels(rows):
-    made = rows(
-        *[
-            {"method": "mine", "stressor": "clean", "metric": f"seed_spread_{part}", "value": value}
-            for part, value in (("supported", 0.01), ("new", 0.1))
-        ]
-    )
-    spread = seed_spread(made, SETTINGS)
+    spreads = [
+        {"method": "mine", "stressor": "clean", "metric": f"seed_spread_{part}", "value": value}
+        for part, value in (("supported", 0.01), ("new", 0.1))
+    ]
+    spread = seed_spread(rows(*spreads), SETTINGS)
     assert spread["mean"].to_list() == pytest.approx([2.55, 25.5])
-    page = stability_markdown(breaking_points(rows(*CONTROLS), SETTINGS), spread)
-    assert "| mine | 2.55 | 25.50 |" in page
+    assert "| mine | 2.55 | 25.50 |" in page_of(rows(*CONTROLS, *spreads))
 
 
 def test_the_chart_goes_from_clean_to_hardest(rows):

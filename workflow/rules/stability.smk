@@ -116,7 +116,7 @@ rule stability_tables:
     params:
         settings=json.dumps(config["tables"]),
         folder=lambda wildcards, output: Path(output[0]).parent,
-        code=code_hash("geoevs.results.stability"),
+        code=code_hash("geoevs.results.stability_page"),
     shell:
         "geoevs --log {log:q} stability-table --scores {input:q} --settings {params.settings:q}"
         " --out {params.folder:q}"

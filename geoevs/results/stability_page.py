@@ -1,0 +1,93 @@
+"""The page of the stability suite in words: where methods break, what stress costs, seed spread."""
+
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Any
+
+import pandas as pd
+
+from geoevs.protocol.stability_scoring import SPREADS
+from geoevs.results.formats import markdown_grid
+from geoevs.results.stability import ENTRANT, JUDGED_BY
+from geoevs.results.tables import FLOOR, display_name, is_control
+
+BREAKING_LEGEND = """The first level at which a method's mean is below that of the best control
+under the same stress [over resamples of frames and draws: from the mildest to the hardest].
+*clean*: it is below before any stress. *none*: it stays above up to the hardest level.
+"""
+
+LEFT_LEGEND = f"""Mean at a stressor's hardest level in dB, and that minus the mean at its mildest
+[over resamples of frames and draws]. *Controls* in italics. ▼ = below the floor, the control
+{FLOOR}, under the same stress. A yaw that ends at a recorded camera is easy again.
+"""
+
+SPREAD_LEGEND = """Standard deviation over draws without stress, in 8-bit levels, where raw
+reprojection supports a pixel and where not.
+"""
+
+
+def stability_markdown(curves: pd.DataFrame, broken: pd.DataFrame, spread: pd.DataFrame) -> str:
+    """Breaking points and what is left, by data set and metric; then the seed spread.
+
+    Args:
+        curves: what `make_stability_table` gave.
+        broken: what `breaking_points` gave.
+        spread: what `seed_spread` gave.
+    """
+    parts = ["# Breaking points\n", BREAKING_LEGEND]
+    for (dataset, metric), rows in broken.groupby(["dataset", "metric"], sort=False):
+        grid = _grid(rows, _breaking_point, itemgetter("stressor"))
+        parts.append(f"## {dataset}, {metric}\n\n{grid}\n")
+    parts += ["# What the hardest level leaves\n", LEFT_LEGEND]
+    hardest = hardest_levels(curves)
+    for (dataset, metric), rows in hardest.groupby(["dataset", "metric"], sort=False):
+        parts.append(f"## {dataset}, {metric}\n\n{_grid(rows, _left, _with_level)}\n")
+    parts += ["# Seed spread\n", SPREAD_LEGEND]
+    body = []
+    for key, rows in spread.groupby(ENTRANT, sort=False):
+        means = rows.set_index("metric")["mean"]
+        body.append([display_name(*key[1:]), *(f"{means[name]:.2f}" for name in SPREADS)])
+    parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
+    return "\n".join(parts)
+
+
+def hardest_levels(curves: pd.DataFrame) -> pd.DataFrame:
+    """The last row of every curve that is judged, with `floor`, the floor's mean there."""
+    place = ["dataset", "stressor", "metric"]
+    judged = curves[curves["metric"].isin(JUDGED_BY)]
+    last = judged.groupby([*ENTRANT, *place[1:]], sort=False).tail(1)
+    floor = last[last["method"] == FLOOR].set_index(place)["mean"]
+    return last.join(floor.rename("floor"), on=place)
+
+
+Cell = Callable[[dict[str, Any]], str]
+
+
+def _grid(rows: pd.DataFrame, cell: Cell, heading: Cell) -> str:
+    """A line for every entrant, a column for every stressor."""
+    columns = {row["stressor"]: heading(row) for row in rows.to_dict("records")}
+    body = []
+    for (method, variant), mine in rows.groupby(["method", "variant"], sort=False):
+        cells = {row["stressor"]: cell(row) for row in mine.to_dict("records")}
+        name = display_name(method, variant)
+        name = f"*{name}*" if is_control(method) else name
+        body.append([name, *(cells.get(stressor, "") for stressor in columns)])
+    return markdown_grid(["method", *columns.values()], body)
+
+
+def _breaking_point(row: dict[str, Any]) -> str:
+    interval = f" [{row['low']}, {row['high']}]"
+    return row["level"] + ("" if row["low"] == row["high"] else interval)
+
+
+def _left(row: dict[str, Any]) -> str:
+    if pd.isna(row["mean"]):
+        return ""
+    low, high = row["change_low"], row["change_high"]
+    interval = "" if pd.isna(low) else f" [{low:+.1f}, {high:+.1f}]"
+    worse = " ▼" if row["mean"] < row["floor"] else ""
+    return f"{row['mean']:.1f}{worse}, {row['change']:+.1f}{interval}"
+
+
+def _with_level(row: dict[str, Any]) -> str:
+    return f"{row['stressor']} {row['level']:g}"
