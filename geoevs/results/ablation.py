@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
-from geoevs.results.formats import latex_tabular, markdown_grid
+from geoevs.results.formats import latex_tabular, markdown_grid, with_interval
 from geoevs.results.summary import PAIR, paired_difference, summarise
 from geoevs.results.tables import display_name, paper_values
 
@@ -174,31 +173,24 @@ def _grid(
 
 
 def _score(row: dict[str, Any], name: str) -> str:
-    return _with_interval("{:.2f}", row[name], row[f"{name}_low"], row[f"{name}_high"])
+    return with_interval("{:.2f}", row[name], row[f"{name}_low"], row[f"{name}_high"])
 
 
 def _paper_score(row: dict[str, Any], name: str) -> str:
-    return _with_interval("{:.2f}", row[f"{name}_paper"], math.nan, math.nan)
+    return with_interval("{:.2f}", row[f"{name}_paper"], math.nan, math.nan)
 
 
 def _difference(row: dict[str, Any], name: str) -> str:
     low, high = row[f"{name}_diff_low"], row[f"{name}_diff_high"]
-    text = _with_interval("{:+.2f}", row[f"{name}_diff"], low, high)
+    text = with_interval("{:+.2f}", row[f"{name}_diff"], low, high)
     return f"**{text}**" if low > 0 or high < 0 else text
 
 
 def _spread(row: dict[str, Any], name: str) -> str:
-    return _with_interval("{:.2f}", row[f"{name}_seed_sd"], math.nan, math.nan)
+    return with_interval("{:.2f}", row[f"{name}_seed_sd"], math.nan, math.nan)
 
 
 def _paper_difference(row: dict[str, Any], name: str) -> str:
     metric = MEASURES[0][1]
     full = paper_values("ablation")[FULL][metric]
-    return _with_interval("{:+.2f}", full - row[f"{name}_paper"], math.nan, math.nan)
-
-
-def _with_interval(form: str, value: float, low: float, high: float) -> str:
-    if np.isnan(value):
-        return ""
-    text = form.format(value)
-    return text if np.isnan(low) else f"{text} [{form.format(low)}, {form.format(high)}]"
+    return with_interval("{:+.2f}", full - row[f"{name}_paper"], math.nan, math.nan)

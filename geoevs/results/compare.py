@@ -4,12 +4,11 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from geoevs import layout
 from geoevs.errors import GeoEvsError
-from geoevs.results.formats import arrow, number
+from geoevs.results.formats import arrow, decimals, number, with_interval
 from geoevs.results.summary import PairedDifference, paired_difference, summarise
 from geoevs.results.tables import TABLES, bin_names, table_rows
 from geoevs.results.why_found import Record, known
@@ -106,19 +105,10 @@ def comparison_text(table: pd.DataFrame, first: str, second: str) -> str:
             f"{row.metric} {arrow(row.metric)}",
             number(row.metric, row.first),
             number(row.metric, row.second),
-            _difference(row),
+            with_interval(f"{{:+.{decimals(row.metric)}f}}", row.difference, row.low, row.high),
             row.pairs,
         )
         for row in table.itertuples()
     ]
     shown = pd.DataFrame(lines, columns=["bin", "metric", first, second, "difference", "pairs"])
     return shown.loc[:, shown.ne("").any()].to_string(index=False)
-
-
-def _difference(row: Any) -> str:
-    """With its sign, and its interval if it has one."""
-    mean, *ends = (
-        ("" if value < 0 else "+") + number(row.metric, value)
-        for value in (row.difference, row.low, row.high)
-    )
-    return mean if np.isnan(row.low) else f"{mean} [{', '.join(ends)}]"

@@ -104,7 +104,24 @@ def number(metric: str, value: float) -> str:
         return ""
     if math.isinf(value):
         return "∞"
-    return f"{value:.2f}" if "psnr" in metric or metric == "fid" else f"{value:.3f}"
+    return f"{value:.{decimals(metric)}f}"
+
+
+def decimals(metric: str) -> int:
+    """How many of them tables write of a metric."""
+    return 2 if "psnr" in metric or metric == "fid" else 3
+
+
+def with_interval(form: str, value: float, low: float, high: float) -> str:
+    """A value and the ends of its interval, if it has one; nothing for NaN.
+
+    >>> with_interval("{:+.1f}", 0.5, 0.2, 0.8), with_interval("{:+.1f}", -1, math.nan, math.nan)
+    ('+0.5 [+0.2, +0.8]', '-1.0')
+    """
+    if math.isnan(value):
+        return ""
+    text = form.format(value)
+    return text if math.isnan(low) else f"{text} [{form.format(low)}, {form.format(high)}]"
 
 
 def _measured(metric: str, row: dict) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from geoevs.protocol.stability_scoring import SPREADS
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, with_interval
 from geoevs.results.stability import ENTRANT, JUDGED_BY
 from geoevs.results.tables import FLOOR, display_name, is_control
 
@@ -83,10 +83,9 @@ def _breaking_point(row: dict[str, Any]) -> str:
 def _left(row: dict[str, Any]) -> str:
     if pd.isna(row["mean"]):
         return ""
-    low, high = row["change_low"], row["change_high"]
-    interval = "" if pd.isna(low) else f" [{low:+.1f}, {high:+.1f}]"
+    change = with_interval("{:+.1f}", row["change"], row["change_low"], row["change_high"])
     worse = " ▼" if row["mean"] < row["floor"] else ""
-    return f"{row['mean']:.1f}{worse}, {row['change']:+.1f}{interval}"
+    return f"{row['mean']:.1f}{worse}, {change}"
 
 
 def _with_level(row: dict[str, Any]) -> str:
