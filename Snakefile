@@ -1,5 +1,5 @@
 # Geo-EVS: the whole protocol as one DAG. `snakemake --cores 2 tables` makes every table.
-from geoevs.config_files import check_syntax
+from geoevs.config.files import check_syntax
 from snakemake.utils import min_version
 
 min_version("9.27")

@@ -23,25 +23,28 @@ from baselines.emernerf import hash_grid
 from baselines.emernerf.tcnn_backend import tcnn_installed
 from baselines.gaussians.model import Gaussians
 from baselines.gaussians.nodes import Background, SceneGraph
-from baselines.gaussians.rasterizer import rasterize
+from baselines.gaussians.rasterizer import rasterize_gaussians
 from baselines.gaussians.training import Photo, Trainer, make_strategy
 from benchmarks import hash_grid as points_on_levels
 from benchmarks.projection import processor
 from benchmarks.rasterizer import GAUSSIANS, SIZE, camera, cotangents, scattered_gaussians
-from geoevs.adapter import Budget, Rng, Views, make_method
+from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.conditions.bits import pack_masks
 from geoevs.conditions.injection import ArtifactInjection
-from geoevs.conditions.masks import MaskLibrary
 from geoevs.conditions.pairs import Pairs
-from geoevs.generator.autoencoder import Autoencoder
-from geoevs.generator.denoiser import Denoiser
-from geoevs.generator.diffusion import Diffusion
-from geoevs.generator.generator import Generator, Sampling
-from geoevs.generator.prior import NANO, Prior, load_prior
-from geoevs.generator.training import GeoEvsTask, TrainingSettings
+from geoevs.core.networks import mixed_precision
+from geoevs.core.optimising import Optimisation, optimise
+from geoevs.core.randomness import Rng
+from geoevs.diffusion.autoencoder import Autoencoder
+from geoevs.diffusion.denoiser import Denoiser
+from geoevs.diffusion.prior import NANO, Prior, load_prior
+from geoevs.diffusion.process import Diffusion
+from geoevs.generator.geo_evs.model import Generator, Sampling
+from geoevs.generator.geo_evs.task import GeoEvsTask, TrainingSettings
 from geoevs.geometry.vggt import VGGT_1B, VGGT_NANO, VggtConfig, new_vggt
-from geoevs.scenes.tiny import write_tiny_scene
-from geoevs.training import Optimisation, mixed_precision, train
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import write_tiny_scene
 
 WEIGHTS = Path(__file__).parents[1] / "geoevs/weights"
 PIXELS, BATCH, VIEWS = 512, 16, 5
@@ -121,7 +124,7 @@ def geo_evs(prior: Prior, paper: bool) -> list[str]:
 
     with tempfile.TemporaryDirectory() as work:
         try:
-            train(task, Optimisation(settings.steps, 1e-4), 0, "timed", Path(work), report)
+            optimise(task, Optimisation(settings.steps, 1e-4), 0, "timed", Path(work), report)
         except Enough:
             seconds = float(np.median(np.diff(times[3:])))
     trained = torch.cuda.max_memory_allocated() / 2**30
@@ -182,7 +185,7 @@ def gaussians_table() -> Table:
         slopes = [part.to(device) for part in cotangents()]
 
         def draw(gaussians: list[Tensor] = gaussians, slopes: list[Tensor] = slopes) -> None:
-            drawn = rasterize(*gaussians, camera())
+            drawn = rasterize_gaussians(*gaussians, camera())
             torch.autograd.backward(drawn[:3], slopes)
 
         table.add_row(name, f"{median_ms(draw):.1f}", f"{1000 / median_ms(trained_on(device)):.0f}")
@@ -226,7 +229,7 @@ def encoding_cells(device: str) -> list[str]:
         slopes = torch.randn(len(positions), grid.out_features, device=device)
         ms = median_ms(lambda: grid(positions).backward(slopes))  # noqa: B023
         cells.append(f"{ms:.2f}")
-    hidden = patch("geoevs.network_files.best_device", lambda: device)
+    hidden = patch("geoevs.core.networks.best_device", lambda: device)
     with tempfile.TemporaryDirectory() as folder, hidden:
         scene = write_tiny_scene(Path(folder) / "scene")
         seconds = {}

@@ -56,7 +56,7 @@ def seconds_each(side: int, densification: str, count: int) -> list[float]:
 
 
 def draw_by_twin(*arguments) -> Rasterization:
-    """What `rasterize` gives, drawn and differentiated by torch ops in float64."""
+    """What `rasterize_gaussians` gives, drawn and differentiated by torch ops in float64."""
     rgb, depth, opacity, footprints = rasterize_reference(*arguments)
     return Rasterization(rgb.float(), depth.float(), opacity.float(), footprints)
 
@@ -67,7 +67,7 @@ def main() -> None:
     for side, bar in BARS.items():
         for densification in STRATEGIES:
             seconds = seconds_each(side, densification, STEPS)
-            with patch.object(nodes, "rasterize", draw_by_twin):
+            with patch.object(nodes, "rasterize_gaussians", draw_by_twin):
                 twin = seconds_each(side, densification, TWIN_STEPS)
             rates = 1 / np.median(seconds), 1 / min(seconds)
             table.add_row(

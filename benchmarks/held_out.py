@@ -21,12 +21,14 @@ from rich.table import Table
 
 from benchmarks.inpainting import SCENES, psnr
 from benchmarks.projection import processor
-from geoevs.adapter import Adapter, Budget, Rendering, Rng, Views, make_method, method_class
-from geoevs.config import method_entries
-from geoevs.errors import did_you_mean
+from geoevs.config.checks import method_entries
+from geoevs.core.errors import did_you_mean
+from geoevs.core.files import to_float
+from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.moving import moving_pixels
-from geoevs.io import to_float
+from geoevs.methods.contract import Adapter, Budget, Rendering, Views
+from geoevs.methods.finding import make_method, method_class
 from geoevs.projection import colour_points
 from geoevs.protocol.clock import timed
 from geoevs.protocol.depth_scoring import FARTHEST

@@ -16,8 +16,9 @@ from rich.table import Table
 
 from baselines.controls.reproject.adapter import Method as Reprojection
 from baselines.controls.reproject_inpaint.adapter import INPAINTINGS, fill_holes
-from geoevs.adapter import Budget, Rendering, Rng, Views
-from geoevs.io import to_float
+from geoevs.core.files import to_float
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, Rendering, Views
 from geoevs.protocol.targets import make_targets
 from geoevs.scenes.scene import SceneRef, load_source
 from geoevs.scenes.store import Scene, write_scene

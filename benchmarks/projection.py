@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from geoevs.projection import unproject_depth, zbuffer
-from geoevs.projection_kernels import lens_of, zbuffer_torch
-from geoevs.projection_reference import zbuffer_reference
+from geoevs.projection.kernels import lens_of, zbuffer_torch
+from geoevs.projection.reference import zbuffer_reference
 from geoevs.scenes.camera import Camera
 
 SIZE = 512

@@ -26,11 +26,11 @@ from baselines.gaussians.projection_kernels import (
     project,
     project_backward,
 )
-from baselines.gaussians.rasterizer import rasterize
+from baselines.gaussians.rasterizer import rasterize_gaussians
 from baselines.gaussians.reference import rasterize_reference
 from baselines.gaussians.simd import LANES, broadcast, fma, store
 from benchmarks.projection import processor
-from geoevs.projection_kernels import lens_of
+from geoevs.projection.kernels import lens_of
 from geoevs.scenes.camera import Camera
 
 SIZE = 256
@@ -150,8 +150,9 @@ def peak_operations() -> float:
 
 
 FIRST_CALL = """
-from benchmarks.rasterizer import camera, cotangents, iterate, rasterize, scattered_gaussians
-iterate(rasterize, scattered_gaussians(), cotangents())
+from baselines.gaussians.rasterizer import rasterize_gaussians
+from benchmarks.rasterizer import camera, cotangents, iterate, scattered_gaussians
+iterate(rasterize_gaussians, scattered_gaussians(), cotangents())
 """
 
 
@@ -169,7 +170,7 @@ def main() -> None:
     """Print the whole, its stages, the twin, the bound, and what a process waits for at first."""
     gaussians, by_pictures = scattered_gaussians(), cotangents()
     for ours, twin in zip(
-        rasterize(*gaussians, camera())[:3],
+        rasterize_gaussians(*gaussians, camera())[:3],
         rasterize_reference(*gaussians, camera())[:3],
         strict=True,
     ):
@@ -179,7 +180,7 @@ def main() -> None:
     times: dict[str, list[float]] = {WHOLE: []}
     for _ in range(ROUNDS):
         start = time.perf_counter()
-        iterate(rasterize, gaussians, by_pictures)
+        iterate(rasterize_gaussians, gaussians, by_pictures)
         times[WHOLE].append(1e3 * (time.perf_counter() - start))
         time_stages(gaussians, by_pictures, times)
     start = time.perf_counter()

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from geoevs import layout
-from geoevs.adapter import Adapter, method_class
-from geoevs.io import read_json, to_uint8, write_image
+from geoevs.core.files import read_json, to_uint8, write_image
+from geoevs.methods.contract import Adapter
+from geoevs.methods.finding import method_class
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.scenes.scene import SceneRef, load_source
 from geoevs.scenes.store import Scene

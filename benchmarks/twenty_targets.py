@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.shifted_views import DATASET, fitted
 from geoevs import layout
-from geoevs.io import read_image, to_uint8, write_image
+from geoevs.core.files import read_image, to_uint8, write_image
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.results.figures import Row, draw_grid

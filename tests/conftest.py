@@ -7,6 +7,9 @@ from hypothesis import settings
 
 from geoevs.protocol.isolate import THREAD_VARIABLES
 
+HEIGHT, WIDTH = 16, 24
+"""Of the tiny pairs and masks that trainings are tested on."""
+
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
@@ -46,13 +49,13 @@ def networks():
     import torch
     from diffusers import AutoencoderKL, UNet2DConditionModel
 
-    from geoevs.generator.autoencoder import Autoencoder, to_tensor
-    from geoevs.generator.condition import ConditionEncoder
-    from geoevs.generator.denoiser import Denoiser, conditioned
-    from geoevs.generator.diffusion import Diffusion
-    from geoevs.generator.generator import Generator
-    from geoevs.generator.prior import Prior
-    from geoevs.training import seeded
+    from geoevs.core.networks import seeded
+    from geoevs.diffusion.autoencoder import Autoencoder, to_tensor
+    from geoevs.diffusion.condition_encoder import ConditionEncoder
+    from geoevs.diffusion.denoiser import Denoiser, conditioned
+    from geoevs.diffusion.prior import Prior
+    from geoevs.diffusion.process import Diffusion
+    from geoevs.generator.geo_evs.model import Generator
 
     def tiny_network(values, latent=4, levels=1):
         return AutoencoderKL(
@@ -128,7 +131,7 @@ def networks():
 @pytest.fixture
 def weights(networks, tmp_path):
     """A folder of pretrained weights, as `snakemake pretrain` makes it."""
-    from geoevs.generator.prior import (
+    from geoevs.diffusion.prior import (
         AUTOENCODER_FILE,
         PRIOR_FILE,
         save_autoencoder,
@@ -139,3 +142,32 @@ def weights(networks, tmp_path):
     save_autoencoder(tmp_path / "weights" / AUTOENCODER_FILE, prior.autoencoder)
     save_denoiser(tmp_path / "weights" / PRIOR_FILE, prior.denoiser, prior.diffusion)
     return tmp_path / "weights"
+
+
+@pytest.fixture
+def pairs(networks):
+    """Eight pairs; of pair n, the n first of 16 rows are unknown."""
+    import numpy as np
+
+    from geoevs.conditions.pairs import Pairs
+
+    target = networks.images(8)
+    valid = np.arange(HEIGHT)[:, None] >= np.arange(8)[:, None, None]
+    valid = np.broadcast_to(valid, (8, HEIGHT, WIDTH)).copy()
+    names = np.array([f"scene-{n // 4}" for n in range(8)]), np.array(["front", "left"] * 4)
+    return Pairs(target * valid[..., None], valid, target, *names, np.arange(8) // 2)
+
+
+@pytest.fixture
+def library():
+    """Masks that hide the 6, 12 or 18 rightmost of 24 columns."""
+    import numpy as np
+
+    from geoevs.conditions.artifact_masks import MaskLibrary
+    from geoevs.conditions.bits import pack_masks
+
+    masks = np.arange(WIDTH) < WIDTH - 6 * np.arange(1, 4)[:, None, None]
+    masks = np.broadcast_to(masks, (3, HEIGHT, WIDTH))
+    labels = {"scene": np.full(3, "s"), "frame": np.arange(3)}
+    labels |= {name: np.zeros(3) for name in ("yaw", "lateral")}
+    return MaskLibrary(HEIGHT, WIDTH, pack_masks(masks), **labels, support=masks.mean(axis=(1, 2)))

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from geoevs.cli import main as cli
-from geoevs.scenes.tiny import write_tiny_scene
+from geoevs.methods.tiny import write_tiny_scene
 
 
 @pytest.fixture

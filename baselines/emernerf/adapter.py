@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_json, write_json
-from geoevs.progress import training_bar
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, write_json
+from geoevs.core.progress import training_bar
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class Method:
 
     def save(self, folder: Path) -> None:
         """Write the fields' weights, the scene's place and which image is which."""
-        from geoevs.network_files import save_network
+        from geoevs.core.networks import save_network
 
         settings = {"sizes": asdict(self._model.sizes), "moving": self._model.dynamic is not None}
         save_network(folder / MODEL_FILE, self._model, settings)
@@ -180,7 +181,7 @@ class Method:
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
         from baselines.emernerf.rays import Place
-        from geoevs.network_files import best_device, load_weights, read_network
+        from geoevs.core.networks import best_device, load_weights, read_network
 
         place = read_json(folder / PLACE_FILE)
         settings, weights = read_network(folder / MODEL_FILE)
@@ -201,7 +202,7 @@ class Method:
         import torch
 
         from baselines.emernerf.model import EmerNeRF, Sizes
-        from geoevs.network_files import best_device
+        from geoevs.core.networks import best_device
 
         sizes = Sizes(self.levels, self.log2_entries, self.width, self.samples)
         box = torch.tensor(np.array([-self._place.half, self._place.half]), dtype=torch.float32)

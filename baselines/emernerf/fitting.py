@@ -9,7 +9,7 @@ import torch
 from baselines.emernerf.losses import image_losses, lidar_losses
 from baselines.emernerf.model import EmerNeRF, Rays
 from baselines.emernerf.rays import TrainingRays
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 WEIGHT_DECAY, BETAS, TINY = 1e-5, (0.9, 0.99), 1e-15  # as published
 WARMUP = 0.1  # share of the fit that the learning rate rises for

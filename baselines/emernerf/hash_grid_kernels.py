@@ -14,7 +14,7 @@ take three times as long to compile.
 import numba
 import numpy as np
 
-from geoevs.kernels import cached_njit
+from geoevs.core.compiled import cached_njit
 
 # One factor an axis, as Instant NGP has them; the first one keeps neighbours together.
 PRIMES = (1, 2654435761, 805459861, 3674653429)

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from baselines.emernerf.model import Rays
-from geoevs.adapter import Views
+from geoevs.core.files import to_uint8
 from geoevs.geometry.sky import find_sky
-from geoevs.io import to_uint8
+from geoevs.methods.contract import Views
 from geoevs.projection import visible
 from geoevs.scenes.boxes import moving_boxes
 from geoevs.scenes.camera import Camera

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_image, read_json, write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_image, read_json, write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 

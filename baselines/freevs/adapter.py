@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.generator.trained import asked_options, link_trained, read_trained, trained_seconds
-from geoevs.io import read_json, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
+from geoevs.methods.trained import asked_options, link_trained, read_trained, trained_seconds
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:

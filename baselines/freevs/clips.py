@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
-from geoevs.adapter import Views
 from geoevs.conditions.bits import pack_masks, unpack_masks
 from geoevs.conditions.parts import join_parts
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_arrays, to_uint8, whole_file, write_arrays
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_arrays, to_uint8, whole_file, write_arrays
+from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene
 
 SHIFTS = (0, -4, 4)

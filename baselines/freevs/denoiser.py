@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.freevs.encoder import PseudoImageEncoder
-from geoevs.generator.denoiser import start_from_latent, widen
-from geoevs.generator.diffusion import Diffusion
-from geoevs.generator.prior import Prior
+from geoevs.diffusion.denoiser import start_from_latent, widen
+from geoevs.diffusion.prior import Prior
+from geoevs.diffusion.process import Diffusion
 
 
 class TemporalResnet(nn.Module):

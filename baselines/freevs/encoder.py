@@ -4,8 +4,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from geoevs.generator.autoencoder import Autoencoder
-from geoevs.generator.push_pull import push_pull
+from geoevs.diffusion.autoencoder import Autoencoder
+from geoevs.diffusion.push_pull import push_pull
 
 
 class ConvNextBlock(nn.Module):

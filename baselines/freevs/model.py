@@ -13,12 +13,17 @@ from torch import Tensor
 
 from baselines.freevs.denoiser import ClipDenoiser
 from baselines.freevs.encoder import PseudoImageEncoder, filled_latents
-from geoevs.errors import GeoEvsError
-from geoevs.generator.autoencoder import Autoencoder, to_arrays, to_conditions
-from geoevs.generator.diffusion import Diffusion, guided
-from geoevs.generator.prior import AUTOENCODER_FILE, load_autoencoder, save_autoencoder
-from geoevs.network_files import best_device, load_weights, read_network, save_network
-from geoevs.training import mixed_precision
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.networks import (
+    best_device,
+    load_weights,
+    mixed_precision,
+    read_network,
+    save_network,
+)
+from geoevs.diffusion.autoencoder import Autoencoder, to_arrays, to_conditions
+from geoevs.diffusion.prior import AUTOENCODER_FILE, load_autoencoder, save_autoencoder
+from geoevs.diffusion.process import Diffusion, guided
 
 DENOISER_FILE = "denoiser.safetensors"
 SIGMA_MIN, RHO = 0.002, 7.0

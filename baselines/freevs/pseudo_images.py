@@ -7,8 +7,8 @@ from typing import NamedTuple, Self
 import cv2
 import numpy as np
 
-from geoevs.adapter import Views
-from geoevs.projection import Raster, rasterize
+from geoevs.methods.contract import Views
+from geoevs.projection import Raster, rasterize_points
 from geoevs.scenes.boxes import Box, moving_boxes
 from geoevs.scenes.camera import Camera
 
@@ -83,7 +83,7 @@ class Sweeps:
         ]
         found.sort(key=lambda points: np.linalg.norm(points.xyz - camera.centre, axis=1).min())
         background = [self.background[neighbour] for neighbour in window]
-        layers = [rasterize(*points, camera) for points in (*found, _join(background))]
+        layers = [rasterize_points(*points, camera) for points in (*found, _join(background))]
         return _stack(layers, round(OCCUPIED_RADIUS * camera.width))
 
     def _window(self, centre: int) -> list[int]:

@@ -1,4 +1,4 @@
 """Gaussian splatting: a differentiable rasterizer for CPUs, and methods of trained Gaussians.
 
-`rasterizer.rasterize` can be used alone: it needs numba, torch, and of this suite a camera.
+`rasterizer.rasterize_gaussians` can be used alone: it needs numba, torch, and a camera.
 """

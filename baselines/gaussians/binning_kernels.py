@@ -16,7 +16,7 @@ from baselines.gaussians.projection_kernels import (
     ROOT_YY,
     TIP,
 )
-from geoevs.kernels import cached_njit
+from geoevs.core.compiled import cached_njit
 
 TILE = 16
 """Side of a tile in pixels."""

@@ -48,7 +48,7 @@ from baselines.gaussians.simd import (
     store,
     sum_lanes,
 )
-from geoevs.kernels import cached_njit
+from geoevs.core.compiled import cached_njit
 
 PIXELS = TILE * TILE
 BLOCK = 4

@@ -15,7 +15,7 @@ from torch import Tensor
 from baselines.gaussians.interface import Footprints
 from baselines.gaussians.model import Gaussians
 from baselines.gaussians.optimiser import Optimiser
-from baselines.gaussians.reference import rotation_matrices
+from baselines.gaussians.rotations import rotation_matrices
 from geoevs.scenes.camera import Camera
 
 LEAST_OPACITY = 0.005

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from baselines.gaussians.interface import Footprints, Rasterization
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 
@@ -25,7 +25,7 @@ def rasterize_gsplat(
     camera: Camera,
     background: Tensor | None,  # [3]
 ) -> Rasterization:
-    """What `baselines.gaussians.rasterizer.rasterize` gives, by gsplat.
+    """What `baselines.gaussians.rasterizer.rasterize_gaussians` gives, by gsplat.
 
     Raises:
         GeoEvsError: gsplat is not installed.

@@ -11,12 +11,12 @@ import pycolmap
 
 from baselines.gaussians.options import FEWEST
 from baselines.gaussians.sfm import triangulate
-from geoevs.adapter import Views
-from geoevs.code_hash import code_hash
-from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.io import read_arrays, write_arrays
+from geoevs.core.code_hash import code_hash
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import read_arrays, write_arrays
+from geoevs.core.optimising import fingerprint
+from geoevs.methods.contract import Views
 from geoevs.scenes.scene import PointCloud
-from geoevs.training import fingerprint
 
 SOURCES = ("sfm", "lidar", "sfm and lidar", "random")
 

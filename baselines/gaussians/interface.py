@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 SH_COUNTS = (1, 4)
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from geoevs.errors import GeoEvsError
-from geoevs.kernels import cached_njit
+from geoevs.core.compiled import cached_njit
+from geoevs.core.errors import GeoEvsError
 
 SSIM_WEIGHT = 0.2
 WINDOW = 11

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from baselines.gaussians.options import FEWEST, check_densification, check_least
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.io import read_arrays, write_arrays
-from geoevs.progress import training_bar
+from geoevs.core.files import read_arrays, write_arrays
+from geoevs.core.progress import training_bar
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from baselines.gaussians.constants import SH_C0
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 INITIAL_OPACITY = 0.1
 NEIGHBOURS = 3

@@ -17,7 +17,7 @@ from torch import Tensor
 from baselines.gaussians.constants import ALPHA_THRESHOLD, BLUR, NEAR_PLANE
 from baselines.gaussians.interface import Footprints, Rasterization
 from baselines.gaussians.model import Gaussians
-from baselines.gaussians.rasterizer import rasterize
+from baselines.gaussians.rasterizer import rasterize_gaussians
 from geoevs.scenes.camera import Camera
 
 REACH = math.sqrt(-2 * math.log(ALPHA_THRESHOLD))
@@ -31,7 +31,7 @@ SKY_SHAPE = 64, 256
 
 
 class Placed(NamedTuple):
-    """Gaussians in the world, as `rasterize` takes them."""
+    """Gaussians in the world, as `rasterize_gaussians` takes them."""
 
     means: Tensor  # [N, 3]
     quats: Tensor  # [N, 4]
@@ -176,7 +176,7 @@ class SceneGraph:
         # An actor that is elsewhere costs as much as one in the picture.
         shown |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
         whole = Placed(*map(torch.cat, zip(*shown.values(), strict=True)))
-        picture = rasterize(*whole, camera)
+        picture = rasterize_gaussians(*whole, camera)
         if self.sky is not None:
             behind = (1 - picture.opacity)[..., None] * self.sky.seen(camera)
             picture = picture._replace(rgb=picture.rgb + behind)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from baselines.gaussians.model import Gaussians
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 LEARNING_RATES = {
     "means": 1.6e-4,  # times the scene's extent

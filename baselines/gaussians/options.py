@@ -1,6 +1,6 @@
 """What options of methods of Gaussians may be: checked without torch, before a scene is read."""
 
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
 
 FEWEST = 100
 """Gaussians of a background, and points that a source of them must give: fewer leave most of a

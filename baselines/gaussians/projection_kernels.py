@@ -19,7 +19,7 @@ from baselines.gaussians.constants import (
     SH_C0,
     SH_C1,
 )
-from geoevs.kernels import cached_njit
+from geoevs.core.compiled import cached_njit
 
 COLUMNS = 16
 CENTRE_X, CENTRE_Y, ROOT_XX, ROOT_YX, ROOT_YY, LOG_OPACITY, RED, GREEN, BLUE, DEPTH = range(10)

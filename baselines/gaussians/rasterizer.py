@@ -16,11 +16,11 @@ from baselines.gaussians.blending_kernels import blend, blend_backward
 from baselines.gaussians.constants import SH_C0
 from baselines.gaussians.interface import Footprints, Rasterization, check_gaussians
 from baselines.gaussians.projection_kernels import project, project_backward
-from geoevs.projection_kernels import lens_of
+from geoevs.projection.kernels import lens_of
 from geoevs.scenes.camera import Camera
 
 
-def rasterize(
+def rasterize_gaussians(
     means: Tensor,  # [N, 3]
     quats: Tensor,  # [N, 4]
     scales: Tensor,  # [N, 3]
@@ -72,11 +72,11 @@ def blending_weights(
 ) -> Tensor:
     """(N,) sum of each Gaussian's weight over the pixels: how much of the picture it makes up.
 
-    See `rasterize` for the arguments and errors.
+    See `rasterize_gaussians` for the arguments and errors.
     """
     sh = means.new_zeros(len(means), 1, 3, requires_grad=True)
     with torch.enable_grad():
-        drawn = rasterize(
+        drawn = rasterize_gaussians(
             means.detach(), quats.detach(), scales.detach(), opacities.detach(), sh, camera
         )
         (by_sh,) = torch.autograd.grad(drawn.rgb[..., 0].sum(), sh)

@@ -14,6 +14,7 @@ from baselines.gaussians.constants import (
     TRANSMITTANCE_THRESHOLD,
 )
 from baselines.gaussians.interface import Footprints, Rasterization, check_gaussians
+from baselines.gaussians.rotations import rotation_matrices
 from geoevs.scenes.camera import Camera
 
 TILE = 16
@@ -29,7 +30,7 @@ def rasterize_reference(
     camera: Camera,
     background: Tensor | None = None,  # [3]
 ) -> Rasterization:
-    """What `baselines.gaussians.rasterizer.rasterize` gives, in float64, by autograd throughout."""
+    """What `rasterizer.rasterize_gaussians` gives, in float64, by autograd throughout."""
     check_gaussians(means, quats, scales, opacities, sh, background)
     means, quats, scales, opacities, sh = (
         tensor.double() for tensor in (means, quats, scales, opacities, sh)
@@ -96,17 +97,6 @@ def project(
     turn = torch.from_numpy(camera.camera_from_world[:3, :3])
     root = jacobian @ turn @ rotation_matrices(quats) * scales[:, None]
     return centres, root @ root.mT + BLUR * torch.eye(2, dtype=means.dtype)
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:  # [M, 4] w, x, y, z
-    """(M, 3, 3) rotations of quaternions of any length but zero."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, 1).view(-1, 3, 3)
 
 
 def shade(

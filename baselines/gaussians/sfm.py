@@ -17,8 +17,8 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from geoevs.adapter import Views
-from geoevs.io import to_uint8
+from geoevs.core.files import to_uint8
+from geoevs.methods.contract import Views
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera, angle_between
 

@@ -18,8 +18,8 @@ from baselines.gaussians.nodes import Drawn, SceneGraph
 from baselines.gaussians.optimiser import EPSILON, MEANS_DECAY, Optimiser
 from baselines.gaussians.options import check_densification
 from baselines.gaussians.size import SizeChoice
-from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import Views
 from geoevs.scenes.camera import Camera
 
 EXTRA_RATES = {"shifts": 5e-3, "turns": 1e-3, "colours": 1e-2}

@@ -10,8 +10,8 @@ import torch
 from baselines.gaussians.constants import NEAR_PLANE
 from baselines.gaussians.model import gaussians_from_points
 from baselines.gaussians.nodes import FOURIER, Actor
-from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import Views
 from geoevs.projection import project_points
 from geoevs.scenes.boxes import Box, moving_boxes
 from geoevs.scenes.camera import Camera

@@ -3,7 +3,8 @@
 from typing import ClassVar
 
 from baselines.gaussians.method import GaussianMethod
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rng, Views
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Views
 
 
 class Method(GaussianMethod):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from baselines.gaussians.nodes import SKY_SHAPE, Drawn, SceneGraph, Sky
-from baselines.gaussians.rasterizer import rasterize
+from baselines.gaussians.rasterizer import rasterize_gaussians
 from baselines.gaussians.training import Photo
 from baselines.street_gaussians.actors import Track
 from geoevs.geometry.sky import find_sky
@@ -50,7 +50,7 @@ def street_loss(graph: SceneGraph, photo: Photo, drawn: Drawn, done: float) -> T
     )
     start = drawn.rows["background"].stop
     if done >= ENTROPY_START and start < len(drawn.whole.means):
-        actors = rasterize(*(part[start:] for part in drawn.whole), photo.camera)
+        actors = rasterize_gaussians(*(part[start:] for part in drawn.whole), photo.camera)
         loss = loss + ENTROPY_WEIGHT * entropy_loss(actors.opacity, photo.known["boxes"])
     return loss
 

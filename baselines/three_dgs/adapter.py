@@ -3,7 +3,8 @@
 from typing import ClassVar
 
 from baselines.gaussians.method import GaussianMethod
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rng, Views
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Views
 
 FAR_SHARE = 4
 """One in so many of the points to start from lies farther than SfM and LiDAR reach."""

@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 
 import baselines
-from geoevs.adapter_check import Check
-from geoevs.adapter_check import check_adapter as run_checks
-from geoevs.adapter_template import new_adapter as write_adapter
 from geoevs.cli.arguments import parse_json
+from geoevs.methods.check import Check
+from geoevs.methods.check import check_adapter as run_checks
+from geoevs.methods.template import new_adapter as write_adapter
 
 MARKS = {
     "passed": "[green]✓[/]",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +66,7 @@ def read_rows(path: Path) -> "pd.DataFrame":
     """The rows of a Parquet file, or a sentence that names it."""
     import pandas as pd
 
-    from geoevs.io import whole_file
+    from geoevs.core.files import whole_file
 
     with whole_file(path):
         return pd.read_parquet(path)

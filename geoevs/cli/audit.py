@@ -25,7 +25,7 @@ def audit_scene(
     """Set every sparse metric beside its dense twin, and every reference pixel beside the truth."""
     import pandas as pd
 
-    from geoevs.io import write_bytes
+    from geoevs.core.files import write_bytes
     from geoevs.protocol.audit import AUDIT_TYPES, audit_rows
     from geoevs.protocol.entries import MethodEntry
 
@@ -44,7 +44,7 @@ def audit_page(
     out: Annotated[Path, typer.Option(help="The folder for its page, tables and charts.")],
 ) -> None:
     """Say in words, tables and charts how far the sparse metric can be trusted."""
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.audit import audit_tables
     from geoevs.results.audit_chart import agreement_chart, support_chart
     from geoevs.results.audit_page import audit_markdown

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json, scene_pairs
-from geoevs.progress import progress_bar
+from geoevs.core.progress import progress_bar
 
 PointMapFile = Annotated[Path, typer.Option(help="What `geoevs point-maps` wrote of the scene.")]
 
@@ -53,13 +53,15 @@ def masks(
     out: Out,
 ) -> None:
     """Take the validity masks of a training scene at virtual poses."""
-    from geoevs.conditions.masks import make_masks, write_masks
+    from geoevs.conditions.artifact_masks import make_artifact_masks, write_artifact_masks
     from geoevs.geometry.point_maps import PointMaps
     from geoevs.scenes.store import Scene
 
     store, wanted = Scene(scene), parse_json("--poses", poses)
     with progress_bar(f"masks {store.info.name}", len(store.frames)) as advance:
-        write_masks(out, make_masks(store, PointMaps(point_maps), wanted, advance))
+        write_artifact_masks(
+            out, make_artifact_masks(store, PointMaps(point_maps), wanted, advance)
+        )
 
 
 def mask_library(
@@ -67,9 +69,15 @@ def mask_library(
     parts: Annotated[list[Path] | None, typer.Argument(help="What `geoevs masks` wrote.")] = None,
 ) -> None:
     """Put the masks of many training scenes into one artifact-mask library."""
-    from geoevs.conditions.masks import join_masks, read_masks, write_masks
+    from geoevs.conditions.artifact_masks import (
+        join_artifact_masks,
+        read_artifact_masks,
+        write_artifact_masks,
+    )
 
-    write_masks(out, join_masks([read_masks(part) for part in parts or []]))
+    write_artifact_masks(
+        out, join_artifact_masks([read_artifact_masks(part) for part in parts or []])
+    )
 
 
 def mask_figure(
@@ -79,9 +87,9 @@ def mask_figure(
     out: Out,
 ) -> None:
     """Draw masks of the library, and its support beside that of the extrapolation targets."""
-    from geoevs.conditions.masks import read_masks
-    from geoevs.io import write_bytes
+    from geoevs.conditions.artifact_masks import read_artifact_masks
+    from geoevs.core.files import write_bytes
     from geoevs.results.mask_figure import library_picture, target_support
 
     support = target_support(run, scene_pairs(scenes))
-    write_bytes(out, library_picture(read_masks(library), support))
+    write_bytes(out, library_picture(read_artifact_masks(library), support))

@@ -7,7 +7,7 @@ import typer
 
 from geoevs.cli.arguments import Out, SceneFolder, Seed, Work, parse_json
 from geoevs.cli.generator import failure_written
-from geoevs.progress import progress_bar, training_bar
+from geoevs.core.progress import progress_bar, training_bar
 
 
 def register(app: typer.Typer) -> None:
@@ -40,12 +40,12 @@ def train_freevs(
     the others go on.
     """
     from baselines.freevs.clips import read_clips
-    from baselines.freevs.training import TrainingSettings
-    from baselines.freevs.training import train_freevs as train
-    from geoevs.generator.trained import seconds_file
-    from geoevs.io import new_folder, write_json
-    from geoevs.plugins import check_options
-    from geoevs.training import finish, training_seconds
+    from baselines.freevs.task import TrainingSettings
+    from baselines.freevs.task import train_freevs as train
+    from geoevs.core.files import new_folder, write_json
+    from geoevs.core.optimising import finish, training_seconds
+    from geoevs.core.settings import check_options
+    from geoevs.methods.trained import seconds_file
 
     parsed = parse_json("--settings", settings)
     check_options("--settings", TrainingSettings, parsed)

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import Out, Rate, Scenes, Seed, Steps, Work, parse_json
-from geoevs.errors import GeoEvsError
-from geoevs.progress import training_bar
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.progress import training_bar
 
 Batch = Annotated[int, typer.Option(min=1, help="Images a step.")]
 
@@ -37,13 +37,13 @@ def train(
     A failure is written down, not raised: methods that take these weights fail with its reason, and
     the others go on.
     """
-    from geoevs.conditions.masks import read_masks
+    from geoevs.conditions.artifact_masks import read_artifact_masks
     from geoevs.conditions.pairs import read_pairs
-    from geoevs.generator.trained import seconds_file, trained_seconds
-    from geoevs.generator.training import TrainingSettings, train_geo_evs
-    from geoevs.io import link_file, new_folder, write_json
-    from geoevs.plugins import check_options
-    from geoevs.training import finish, training_seconds
+    from geoevs.core.files import link_file, new_folder, write_json
+    from geoevs.core.optimising import finish, training_seconds
+    from geoevs.core.settings import check_options
+    from geoevs.generator.geo_evs.task import TrainingSettings, train_geo_evs
+    from geoevs.methods.trained import seconds_file, trained_seconds
 
     parsed = parse_json("--settings", settings)
     check_options("--settings", TrainingSettings, parsed)
@@ -54,7 +54,7 @@ def train(
     with failure_written(out):
         with training_bar(f"training on {len(data)} pairs", wanted.steps) as report:
             generator = train_geo_evs(
-                wanted, data, read_masks(library), weights, seed, work, report
+                wanted, data, read_artifact_masks(library), weights, seed, work, report
             )
         with new_folder(out) as partial:
             generator.save(partial)
@@ -71,8 +71,8 @@ def train(
 @contextmanager
 def failure_written(out: Path) -> Iterator[None]:
     """Where the block's training fails, leave the reason in place of its networks."""
-    from geoevs.generator.trained import FAILURE_FILE
-    from geoevs.io import new_folder, write_json
+    from geoevs.core.files import new_folder, write_json
+    from geoevs.methods.trained import FAILURE_FILE
 
     try:
         yield
@@ -95,11 +95,11 @@ def train_autoencoder(
     """Pretrain this suite's autoencoder on the images of scenes; weights are stored as float16."""
     import torch
 
-    from geoevs.generator.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
-    from geoevs.generator.pretraining import AutoencoderTask, read_images
-    from geoevs.generator.prior import save_autoencoder
-    from geoevs.network_files import best_device
-    from geoevs.training import Optimisation, finish, seeded, train
+    from geoevs.core.networks import best_device, seeded
+    from geoevs.core.optimising import Optimisation, finish, optimise
+    from geoevs.diffusion.autoencoder import NANO_BLOCK, Autoencoder, nano_autoencoder, to_tensor
+    from geoevs.diffusion.pretraining import AutoencoderTask, read_images
+    from geoevs.diffusion.prior import save_autoencoder
 
     images = read_images(scenes)
     with seeded(seed, "autoencoder"):
@@ -112,7 +112,7 @@ def train_autoencoder(
     task = AutoencoderTask(autoencoder, images, batch, (crop, crop))
     with training_bar(f"autoencoder on {len(images)} images", steps) as report:
         optimisation = Optimisation(steps, learning_rate, weight_decay=0.0)
-        trained = train(task, optimisation, seed, "autoencoder", work, report)
+        trained = optimise(task, optimisation, seed, "autoencoder", work, report)
     trained.fit_statistics(some.to(device))
     save_autoencoder(out, trained, torch.float16)
     finish(work)
@@ -131,12 +131,12 @@ def train_prior(
     """Pretrain the unconditional denoiser on the images of scenes; stored as float16."""
     import torch
 
-    from geoevs.generator.denoiser import Denoiser, nano_unet
-    from geoevs.generator.diffusion import Diffusion
-    from geoevs.generator.pretraining import PriorTask, read_images
-    from geoevs.generator.prior import load_autoencoder, save_denoiser
-    from geoevs.network_files import best_device
-    from geoevs.training import Optimisation, finish, seeded, train
+    from geoevs.core.networks import best_device, seeded
+    from geoevs.core.optimising import Optimisation, finish, optimise
+    from geoevs.diffusion.denoiser import Denoiser, nano_unet
+    from geoevs.diffusion.pretraining import PriorTask, read_images
+    from geoevs.diffusion.prior import load_autoencoder, save_denoiser
+    from geoevs.diffusion.process import Diffusion
 
     device = best_device()
     images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
@@ -144,6 +144,6 @@ def train_prior(
         denoiser = Denoiser(nano_unet(frozen.latent_channels), None).to(device)
     task = PriorTask(denoiser, frozen, Diffusion(), images, batch)
     with training_bar(f"prior on {len(images)} images", steps) as report:
-        trained = train(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
+        trained = optimise(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
     save_denoiser(out, trained, Diffusion(), torch.float16)
     finish(work)

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import Out, Rate, SceneFolder, Scenes, Seed, Steps, Work
-from geoevs.errors import GeoEvsError
-from geoevs.progress import progress_bar, training_bar
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.progress import progress_bar, training_bar
 
 
 def register(app: typer.Typer) -> None:
@@ -42,13 +42,13 @@ def train_geometry(
     """
     import torch
 
-    from geoevs.adapter import Rng
-    from geoevs.generator.trained import seconds_file
+    from geoevs.core.files import write_json
+    from geoevs.core.networks import best_device
+    from geoevs.core.optimising import Optimisation, finish, training_seconds
+    from geoevs.core.randomness import Rng
     from geoevs.geometry.finetuning import read_depth_frames, train_vggt
     from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
-    from geoevs.io import write_json
-    from geoevs.network_files import best_device
-    from geoevs.training import Optimisation, finish, training_seconds
+    from geoevs.methods.trained import seconds_file
 
     model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
     frames = read_depth_frames(scenes or [], depths or [], model.config)
@@ -79,12 +79,12 @@ def train_refiner(
     """Train what refines a VGGT's depth by LiDAR; writes both together, as float16."""
     import torch
 
+    from geoevs.core.networks import best_device, seeded
+    from geoevs.core.optimising import Optimisation, finish, optimise
     from geoevs.geometry.depth_models import VggtDepth
     from geoevs.geometry.refinement import NANO_CHANNELS, DepthRefiner
     from geoevs.geometry.refiner_training import RefinementTask, read_refiner_views
     from geoevs.geometry.vggt import save_vggt
-    from geoevs.network_files import best_device
-    from geoevs.training import Optimisation, finish, seeded, train
 
     if len(scenes) != len(depths):
         raise GeoEvsError(
@@ -101,7 +101,7 @@ def train_refiner(
     with training_bar(f"depth refiner on {len(views)} views", steps) as report:
         task = RefinementTask(refiner, views, batch)
         optimisation = Optimisation(steps, learning_rate)
-        trained = train(task, optimisation, seed, "depth-refiner", work, report)
+        trained = optimise(task, optimisation, seed, "depth-refiner", work, report)
     network.model.set_refiner(trained, NANO_CHANNELS)
     save_vggt(network.model, out, torch.float16)
     finish(work)
@@ -120,8 +120,8 @@ def score_geometry(
     ] = None,
 ) -> None:
     """Score the depth of a scene's recorded views: one row a view, stage, scale and metric."""
+    from geoevs.core.files import write_bytes
     from geoevs.geometry.depth_models import make_depth_model
-    from geoevs.io import write_bytes
     from geoevs.protocol.depth_scoring import (
         CONTROL,
         FINE_TUNED,

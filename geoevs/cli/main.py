@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_text
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_text
 
 app = typer.Typer(
     no_args_is_help=True,

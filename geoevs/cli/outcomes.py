@@ -17,7 +17,7 @@ from geoevs.cli.arguments import (
     read_rows,
     scene_pairs,
 )
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
 DatasetName = Annotated[str, typer.Option(help="The data set; left out, the first.")]
@@ -39,7 +39,7 @@ def collect(
 
     import pyarrow.parquet as pq
 
-    from geoevs.io import whole_file, write_bytes
+    from geoevs.core.files import whole_file, write_bytes
 
     buffer = io.BytesIO()
     with whole_file(parts[0]):
@@ -68,7 +68,7 @@ def grid(
     ] = None,
 ) -> None:
     """Draw a table's grid: truth, reference, validity and every method side by side."""
-    from geoevs.io import write_bytes
+    from geoevs.core.files import write_bytes
     from geoevs.results.figures import table_grid
 
     pairs = scene_pairs(scenes)
@@ -85,7 +85,7 @@ def chart(
     sets: SetScores = None,
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.chart_pages import draw_page, write_page
     from geoevs.results.charts import speed_accuracy
 
@@ -101,7 +101,7 @@ def report(
     run: Run, out: Out, threads: Annotated[int, typer.Option(min=1, help="At most so many.")] = 1
 ) -> None:
     """Put a run's tables, charts, pictures and failures on one page that needs no network."""
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.report.page import make_page
 
     write_text(out, make_page(run, threads))
@@ -116,7 +116,7 @@ def manifest(
     ] = None,
 ) -> None:
     """Write down the commit, config, input hashes, versions, machine and seed of a run."""
-    from geoevs.io import write_json
+    from geoevs.core.files import write_json
     from geoevs.results.manifest import make_manifest
 
     write_json(out, make_manifest(parse_json("--config", config), inputs, configfiles or []))
@@ -133,7 +133,7 @@ def install_weights(
 
     Other weights in that folder, and what is written down of them, stay.
     """
-    from geoevs.io import read_json, write_bytes, write_json
+    from geoevs.core.files import read_json, write_bytes, write_json
     from geoevs.results.manifest import add_provenance, make_provenance
 
     folders = dict(pair.split("=", 1) for pair in work)
@@ -191,7 +191,7 @@ def why(
 ) -> None:
     """Say where a table's number comes from: rows, pictures, config, commit, how to rerun it."""
     from geoevs.results.why import explain
-    from geoevs.results.why_found import Cell
+    from geoevs.results.why_lookup import Cell
 
     for line in explain(Cell(table, entrant, metric, bin, dataset), _folder(run)):
         print(line)

@@ -81,7 +81,7 @@ def stability_score(
 ) -> None:
     """Score what a method rendered under all conditions of a stressor."""
     from geoevs import layout
-    from geoevs.io import write_bytes
+    from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.rows import protocol_fingerprint, score_frame
     from geoevs.protocol.stability_scoring import score_conditions
@@ -104,7 +104,7 @@ def stability_table(
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
     from geoevs.results.stability_page import stability_markdown
 
@@ -124,7 +124,7 @@ def stability_chart(
     """Draw every method's curve over the levels of a stressor."""
     import pandas as pd
 
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.chart_pages import write_page
     from geoevs.results.stability_chart import curves, stability_curves
 

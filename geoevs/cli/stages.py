@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json
-from geoevs.progress import counted, progress_bar
+from geoevs.core.progress import counted, progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
 SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]
@@ -34,7 +34,7 @@ def scene(
     options: Options = "{}",
 ) -> None:
     """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
-    from geoevs.io import new_folder
+    from geoevs.core.files import new_folder
     from geoevs.projection import colour_points
     from geoevs.scenes.depths import write_depths
     from geoevs.scenes.scene import Frame, SceneRef, load_source
@@ -97,7 +97,7 @@ def references(
 
     The masks that degrade the conditions of masked targets come with it, in a file of their own.
     """
-    from geoevs.protocol.masks import RawReprojection, make_masks
+    from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
     from geoevs.protocol.records import write_records
     from geoevs.protocol.reference import make_references
     from geoevs.protocol.targets import read_targets
@@ -106,7 +106,7 @@ def references(
     store, wanted = Scene(scene), read_targets(targets)
     reprojection = RawReprojection(store)
     write_records(out, make_references(store, wanted, reprojection, seed))
-    write_records(masks, make_masks(wanted, reprojection))
+    write_records(masks, make_condition_masks(wanted, reprojection))
 
 
 def fit(
@@ -122,7 +122,7 @@ def fit(
     fit_seconds: Annotated[float | None, typer.Option(help="Wall time it may take.")] = None,
 ) -> None:
     """Fit a method to a scene; a failure is written down, not raised."""
-    from geoevs.adapter import Budget
+    from geoevs.methods.contract import Budget
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import fit_method
 
@@ -168,7 +168,7 @@ def score(
     seed: Seed = 0,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
-    from geoevs.io import write_bytes
+    from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
     from geoevs.protocol.scoring import Evidence, cost_rows, score_method
@@ -195,7 +195,7 @@ def score_sets(
     seed: Seed = 0,
 ) -> None:
     """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
-    from geoevs.io import write_bytes
+    from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.set_scoring import score_sets as score
     from geoevs.protocol.set_scoring import set_frame
@@ -217,8 +217,8 @@ def export(
     For methods in another environment or language: they leave <camera>/<frame>.png, six digits a
     frame, which the method `external` scores.
     """
-    from geoevs.adapter import NEEDS, Views
-    from geoevs.io import new_folder
+    from geoevs.core.files import new_folder
+    from geoevs.methods.contract import NEEDS, Views
     from geoevs.protocol.targets import read_targets, source_cameras, write_targets
     from geoevs.scenes.store import Scene
 

@@ -34,7 +34,7 @@ def _write(
     markdown: "Callable[[pd.DataFrame], str]",
     latex: "Callable[[pd.DataFrame], str] | None" = None,
 ) -> None:
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
 
     write_text(out.with_suffix(".csv"), made.to_csv(index=False))
     write_text(out.with_suffix(".md"), markdown(made))
@@ -106,7 +106,7 @@ def complexity_chart(
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
-    from geoevs.io import write_text
+    from geoevs.core.files import write_text
     from geoevs.results.chart_pages import write_page
     from geoevs.results.complexity import size_curves
     from geoevs.results.complexity_chart import size_chart

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geoevs.conditions.artifact_masks import MaskLibrary, check_size
 from geoevs.conditions.boxes import random_boxes, random_erasing
-from geoevs.conditions.masks import MaskLibrary, check_size
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
 
 INJECTIONS = ("none", "boxes", "boxes-unmatched", "reprojected")
 

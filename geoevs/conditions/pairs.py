@@ -8,11 +8,11 @@ import numpy as np
 
 from geoevs.conditions.bits import pack_masks, unpack_masks
 from geoevs.conditions.parts import join_parts
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_arrays, to_uint8, whole_file, write_arrays
 from geoevs.geometry.lift import lift_view
 from geoevs.geometry.point_maps import PointMaps
-from geoevs.io import read_arrays, to_uint8, whole_file, write_arrays
-from geoevs.projection import Raster, rasterize
+from geoevs.projection import Raster, rasterize_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
 
@@ -46,7 +46,7 @@ def condition_map(
 ) -> Raster:
     """X of a recorded view: its own cloud alone, projected back to where it came from (u = v)."""
     xyz, rgb = lift_view(image, depth, camera, camera)
-    return rasterize(xyz, rgb, camera)
+    return rasterize_points(xyz, rgb, camera)
 
 
 def make_pairs(scene: Scene, point_maps: PointMaps, advance: Callable[[], None]) -> Pairs:

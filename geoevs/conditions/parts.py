@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 
 def join_parts(

@@ -19,7 +19,7 @@ from geoevs.geometry.moving import moving_pixels
 from geoevs.projection import (
     Raster,
     project_points,
-    rasterize,
+    rasterize_points,
     sample_bilinear,
     unproject_depth,
 )
@@ -107,7 +107,7 @@ class BlendedViews(LiftedViews):
             for name, depth in self.still[frame].items()
         ]
         xyz = np.concatenate(clouds)
-        return rasterize(xyz, xyz[:, :0], camera).depth
+        return rasterize_points(xyz, xyz[:, :0], camera).depth
 
     def _colours(
         self,

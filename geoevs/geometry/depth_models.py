@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import cv2
 import numpy as np
 
-from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import to_uint8
 from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.scale import fit_scale, frame_factor
-from geoevs.io import to_uint8
+from geoevs.methods.contract import Views
 from geoevs.projection import zbuffer
 from geoevs.scenes.camera import Camera
 
@@ -117,8 +117,8 @@ class VggtDepth(NetworkDepth):
     """VGGT of any size, on the GPU if there is one."""
 
     def __init__(self, weights: Path) -> None:
+        from geoevs.core.networks import best_device
         from geoevs.geometry.vggt import load_vggt
-        from geoevs.network_files import best_device
 
         self.model = load_vggt(weights).to(best_device())
 
@@ -158,7 +158,7 @@ class DepthAnything3Depth(NetworkDepth):
     """Depth Anything 3 through its own package, on the GPU if there is one."""
 
     def __init__(self, weights: Path) -> None:
-        from geoevs.network_files import best_device
+        from geoevs.core.networks import best_device
 
         try:
             from depth_anything_3.api import DepthAnything3

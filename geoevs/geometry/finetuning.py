@@ -13,16 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geoevs.adapter import Rng
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import to_uint8
+from geoevs.core.networks import mixed_precision
+from geoevs.core.optimising import Optimisation, fingerprint, optimise
+from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_loss import depth_loss
 from geoevs.geometry.vggt import DepthPrediction, Vggt, VggtConfig, resize_image
-from geoevs.io import to_uint8
 from geoevs.projection import zbuffer
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
-from geoevs.training import Optimisation, fingerprint, mixed_precision, train
 
 FAR = 200.0
 """Metres at which the sky is taught to lie, so that it is lifted like everything else."""
@@ -61,13 +62,13 @@ def train_vggt(
         batch: frames a step.
         optimisation: how long and how fast.
         seed: decides every batch.
-        work: the training's own folder (see `train`).
+        work: the training's own folder (see `optimise`).
         report: called after every step with its loss.
 
     Raises:
         GeoEvsError: a loss or gradient is not finite.
     """
-    return train(GeometryTask(model, frames, batch), optimisation, seed, "vggt", work, report)
+    return optimise(GeometryTask(model, frames, batch), optimisation, seed, "vggt", work, report)
 
 
 def read_depth_frames(

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from geoevs.adapter import Views
 from geoevs.geometry.lidar import complete_depth
+from geoevs.methods.contract import Views
 from geoevs.projection import unproject_depth
 from geoevs.scenes.camera import Camera
 

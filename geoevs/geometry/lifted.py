@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from geoevs.adapter import Views
+from geoevs.core.files import read_arrays, write_arrays
 from geoevs.geometry.lift import lift_frame
-from geoevs.io import read_arrays, write_arrays
-from geoevs.projection import Raster, rasterize
+from geoevs.methods.contract import Views
+from geoevs.projection import Raster, rasterize_points
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class LiftedViews:
     def _explained(self, camera: Camera, frame: int) -> Raster:
         """The frame's cloud, rasterised."""
         xyz, rgb = lift_frame(self.views, frame, self.depths[frame], camera)
-        return rasterize(xyz, rgb, camera)
+        return rasterize_points(xyz, rgb, camera)
 
     def save(self, folder: Path) -> None:
         """Write the source views as a scene store, and their depths."""

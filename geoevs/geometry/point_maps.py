@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geoevs.adapter import Views
-from geoevs.io import whole_file, write_arrays
+from geoevs.core.files import whole_file, write_arrays
+from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene
 
 if TYPE_CHECKING:

@@ -8,16 +8,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geoevs.adapter import Rng, Views
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.networks import mixed_precision
+from geoevs.core.optimising import fingerprint
+from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_loss import depth_loss
 from geoevs.geometry.depth_models import NetworkDepth
 from geoevs.geometry.finetuning import BRIGHTEST, DARKEST, FAR
 from geoevs.geometry.refinement import CENTRE, COLOURS, FITTED, DepthRefiner, refiner_inputs
 from geoevs.geometry.vggt import DepthPrediction
+from geoevs.methods.contract import Views
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
-from geoevs.training import fingerprint, mixed_precision
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import whole_file
+from geoevs.core.networks import load_weights, read_network, save_network
 from geoevs.geometry.refinement import DepthRefiner
 from geoevs.geometry.vggt_head import DepthHead
 from geoevs.geometry.vggt_layers import Block, DinoEncoder, PatchEmbedding, rotary_tables
-from geoevs.io import whole_file
-from geoevs.network_files import load_weights, read_network, save_network
 
 # Of the images' colours, as DINOv2 was trained.
 COLOUR_MEAN = (0.485, 0.456, 0.406)

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from geoevs import layout
-from geoevs.adapter import Rng
-from geoevs.io import read_image, to_float
+from geoevs.core.files import read_image, to_float
+from geoevs.core.randomness import Rng
 from geoevs.projection import colour_points, project_points, zbuffer
 from geoevs.protocol.entries import OK, ORACLES, MethodEntry, read_outcomes
 from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM, MaskedMean

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from geoevs.adapter import Views
 from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.depth_models import DepthModel, LidarDepth
+from geoevs.methods.contract import Views
 from geoevs.projection import zbuffer
 from geoevs.protocol.clock import timed
 from geoevs.protocol.entries import EMPTY_MASK, OK

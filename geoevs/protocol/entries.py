@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json
 
 REFERENCE, TRUTH = "reference", "truth"
 ORACLES = (REFERENCE, TRUTH)

@@ -4,8 +4,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from geoevs.adapter import Budget, MaskedAdapter, Rng, Views, make_method
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, MaskedAdapter, Views
+from geoevs.methods.finding import make_method
 from geoevs.protocol.clock import timed
 from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_json
 
 
 class MethodFailedError(Exception):

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from geoevs.adapter import Rendering
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import Rendering
 from geoevs.protocol.entries import TRUTH
 from geoevs.protocol.reference import References
 from geoevs.protocol.targets import Target

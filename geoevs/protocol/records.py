@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from geoevs.io import whole_file, write_arrays
+from geoevs.core.files import whole_file, write_arrays
 
 Record = TypeVar("Record")
 

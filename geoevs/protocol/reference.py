@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geoevs.adapter import Rng
+from geoevs.core.randomness import Rng
 from geoevs.projection import zbuffer
-from geoevs.protocol.masks import RawReprojection
+from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.records import Records
 from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
 from geoevs.scenes.scene import PointCloud

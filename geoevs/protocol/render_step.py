@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from geoevs.adapter import MaskedAdapter, Rendering, method_class
-from geoevs.errors import GeoEvsError
-from geoevs.io import to_uint8, write_image
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import to_uint8, write_image
+from geoevs.methods.contract import MaskedAdapter, Rendering
+from geoevs.methods.finding import method_class
 from geoevs.protocol.clock import timed
+from geoevs.protocol.condition_masks import ConditionMasks
 from geoevs.protocol.entries import ORACLES
-from geoevs.protocol.masks import Masks
 from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.targets import Target, read_targets
 
@@ -52,7 +53,7 @@ def render_step(
         adapter = method_class(method).load(Path(model))
         if not isinstance(adapter, MaskedAdapter):
             wanted = [target for target in wanted if not target.masked]
-        stored = Masks(Path(masks))
+        stored = ConditionMasks(Path(masks))
         keeps = {target.key: stored[target.key].keep for target in wanted if target.masked}
 
         def render(target: Target) -> Rendering:

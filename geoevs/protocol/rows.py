@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.projection import FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE
 from geoevs.protocol.metrics import METRICS, SSIM_MIN_EFFECTIVE_PIXELS, SSIM_RADIUS, SSIM_SIGMA
 from geoevs.scenes.store import Scene

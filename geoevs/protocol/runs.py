@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from geoevs.adapter import Budget
-from geoevs.io import new_folder, write_json
+from geoevs.core.files import new_folder, write_json
+from geoevs.methods.contract import Budget
 from geoevs.protocol.entries import FAILED, OK, ORACLES, MethodEntry, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_image, to_float
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_image, to_float
+from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
-from geoevs.protocol.masks import ConditionMask, Masks
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.rows import COST_TYPES
@@ -119,7 +119,7 @@ def score_method(
         common: columns that all rows share: dataset, scene, fingerprint.
     """
     scene = Scene(evidence.scene)
-    references, masks = References(evidence.references), Masks(evidence.masks)
+    references, masks = References(evidence.references), ConditionMasks(evidence.masks)
     outcomes = read_outcomes(renders / "render.json")
     rows = []
     for target in read_targets(evidence.targets):

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.io import read_image, to_float
+from geoevs.core.files import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.set_metrics import SET_METRICS, SetMetric, real_floor, standardise
 from geoevs.protocol.targets import read_targets

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geoevs.io import new_folder, write_json
+from geoevs.core.files import new_folder, write_json
 from geoevs.protocol.entries import FAILED, MethodEntry
 from geoevs.protocol.isolate import MethodFailedError, run_isolated
 from geoevs.protocol.stressors import MOTION_OPTION, STRESSORS

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.io import read_arrays, read_image, read_json, to_float
+from geoevs.core.files import read_arrays, read_image, read_json, to_float
 from geoevs.projection import unproject_depth
 from geoevs.protocol.entries import FAILED, OK, MethodEntry
 from geoevs.protocol.reference import References

@@ -6,8 +6,8 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_json
 from geoevs.protocol.entries import OK
 from geoevs.protocol.fit_step import fit_step
 from geoevs.protocol.render_step import render_step

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geoevs.adapter import Rng
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.randomness import Rng
 from geoevs.projection import colour_points, zbuffer
 from geoevs.scenes.scene import Frame, PointCloud
 from geoevs.scenes.store import Scene, write_scene

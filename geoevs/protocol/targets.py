@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from geoevs.adapter import Rng
-from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.io import read_json, write_json
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import read_json, write_json
+from geoevs.core.randomness import Rng
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
 from geoevs.scenes.virtual import virtual_camera, yaw_gap

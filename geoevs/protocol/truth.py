@@ -5,7 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.io import new_folder, read_image, to_float, write_arrays, write_image, write_json
+from geoevs.core.files import (
+    new_folder,
+    read_image,
+    to_float,
+    write_arrays,
+    write_image,
+    write_json,
+)
 from geoevs.protocol.targets import Target, virtual_targets
 from geoevs.scenes.scene import SceneRef, SceneSource
 from geoevs.scenes.store import Scene

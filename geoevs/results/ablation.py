@@ -8,8 +8,8 @@ import pandas as pd
 
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
+from geoevs.results.bootstrap import PAIR, paired_difference, summarise
 from geoevs.results.formats import latex_tabular, markdown_grid, with_interval
-from geoevs.results.summary import PAIR, paired_difference, summarise
 from geoevs.results.tables import display_name, paper_values
 
 METHOD, FULL = "geo-evs", "default"

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.stats import kendalltau
 
 from geoevs.protocol.entries import ORACLES
-from geoevs.results.summary import redraw, summarise
+from geoevs.results.bootstrap import redraw, summarise
 from geoevs.results.tables import FLOOR
 
 ENTRANT = ["method", "variant"]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import vl_convert
 
-from geoevs.io import write_bytes, write_text
+from geoevs.core.files import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.charts import COSTS, SPEED, higher_is_better

@@ -10,7 +10,7 @@ from geoevs.protocol.entries import FAILED, ORACLES
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE
-from geoevs.results.summary import bootstrap_mean, summarise
+from geoevs.results.bootstrap import bootstrap_mean, summarise
 from geoevs.results.tables import (
     ENTRANT,
     TableSpec,

@@ -7,11 +7,11 @@ from typing import Any
 import pandas as pd
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.results.bootstrap import PairedDifference, paired_difference, summarise
 from geoevs.results.formats import arrow, decimals, number, with_interval
-from geoevs.results.summary import PairedDifference, paired_difference, summarise
 from geoevs.results.tables import TABLES, bin_names, table_rows
-from geoevs.results.why_found import Record, known
+from geoevs.results.why_lookup import Record, known
 
 COLUMNS = ["bin", "metric", "first", "second", "difference", "low", "high", "pairs"]
 

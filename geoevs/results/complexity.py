@@ -9,8 +9,8 @@ import pandas as pd
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
+from geoevs.results.bootstrap import summarise
 from geoevs.results.formats import markdown_grid
-from geoevs.results.summary import summarise
 from geoevs.results.tables import display_name
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from geoevs import layout
-from geoevs.io import whole_file
+from geoevs.core.files import whole_file
 from geoevs.protocol.entries import FAILED
 
 _ENDING = ["method", "variant", "stage", "reason", "log"]

@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from geoevs import layout
-from geoevs.io import encode_png, read_image, to_uint8
-from geoevs.protocol.masks import ConditionMask, Masks
+from geoevs.core.files import encode_png, read_image, to_uint8
+from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target, read_targets
 from geoevs.protocol.truth import dense_truth
@@ -97,7 +97,7 @@ class Evidence:
         where = {"dataset": dataset, "scene": scene}
         self._scene = Scene(run / layout.SCENE.format(**where))
         self._references = References(run / layout.REFERENCES.format(**where))
-        self._masks = Masks(run / layout.MASKS.format(**where))
+        self._masks = ConditionMasks(run / layout.MASKS.format(**where))
         self._truth = run / layout.TRUTH.format(**where)
 
     def truth(self, target: Target) -> np.ndarray | None:

@@ -6,8 +6,8 @@ from typing import Any
 import pandas as pd
 
 from geoevs.protocol.depth_scoring import CONTROL, COVERAGE, FINE_TUNED, PRETRAINED
+from geoevs.results.bootstrap import summarise
 from geoevs.results.formats import latex_tabular, markdown_grid
-from geoevs.results.summary import summarise
 
 METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑", COVERAGE: "↑"}
 TITLE = "Depth of recorded views (paper section 3.2)"

@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import whole_file
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import whole_file
 
 PACKAGES = (
     *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),

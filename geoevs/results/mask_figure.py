@@ -10,8 +10,8 @@ import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
 from geoevs import layout
-from geoevs.conditions.masks import MaskLibrary
-from geoevs.io import encode_png
+from geoevs.conditions.artifact_masks import MaskLibrary
+from geoevs.core.files import encode_png
 from geoevs.protocol.reference import References
 from geoevs.protocol.targets import read_targets
 from geoevs.results.figures import BACKGROUND, HEADER, INK, MARGIN, UNSUPPORTED

@@ -8,8 +8,8 @@ from scipy.stats import kendalltau
 
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
+from geoevs.results.bootstrap import redraw
 from geoevs.results.formats import markdown_grid
-from geoevs.results.summary import redraw
 from geoevs.results.tables import display_name, paper_values, table_spec
 
 RANKED_TABLES = ("extrapolation", "interpolation")

@@ -12,7 +12,7 @@ from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.stability import CLEAN
 from geoevs.protocol.stability_scoring import SPREADS
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.summary import redraw, summarise
+from geoevs.results.bootstrap import redraw, summarise
 from geoevs.results.tables import FLOOR, display_name, is_control
 
 ENTRANT = ["dataset", "method", "variant"]

@@ -11,14 +11,14 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from geoevs.adapter import find_methods
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.methods.finding import find_methods
 from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.weights import UNAVAILABLE
-from geoevs.results.summary import summarise
+from geoevs.results.bootstrap import summarise
 
 ENTRANT = ["dataset", "method", "variant"]
 """Columns that tell who was scored on what."""

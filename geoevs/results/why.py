@@ -7,12 +7,12 @@ from typing import Any
 import pandas as pd
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.tables import TABLES, TableSpec, bin_names, make_table, table_spec
-from geoevs.results.why_found import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
-from geoevs.results.why_others import OTHERS
+from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
+from geoevs.results.why_tables import OTHERS
 
 SUITES = {"stability": layout.STABILITY_SCORES, "audit": layout.AUDIT_ROWS}
 """What is no table, with the rows that its numbers are made from."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 RIGID_TOLERANCE = 1e-4
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.io import read_arrays, write_arrays
+from geoevs.core.files import read_arrays, write_arrays
 from geoevs.scenes.scene import Frame
 
 

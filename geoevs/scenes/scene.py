@@ -8,8 +8,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.plugins import check_options, find_plugins, load_plugin
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.plugins import find_plugins, load_plugin
+from geoevs.core.settings import check_options
 from geoevs.scenes.camera import Camera
 
 LIDAR_SPLITS = ("sensor", "beam")

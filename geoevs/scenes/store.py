@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.io import (
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import (
     new_folder,
     read_arrays,
     read_image,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 

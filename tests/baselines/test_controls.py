@@ -6,10 +6,12 @@ import pytest
 
 from baselines.controls.nearest_view.adapter import infinite_homography
 from baselines.controls.reproject_inpaint.adapter import fill_holes
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.errors import GeoEvsError
-from geoevs.io import to_float, to_uint8, write_image
-from geoevs.scenes.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, tiny_truth, write_tiny_scene
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import to_float, to_uint8, write_image
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, tiny_truth, write_tiny_scene
 
 
 @pytest.fixture(scope="module")

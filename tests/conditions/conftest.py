@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pytest
 
 from geoevs.geometry.point_maps import PointMaps, write_point_maps
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.scenes.store import Scene
-from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
 
 class TrueDepth:

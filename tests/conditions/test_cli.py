@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geoevs.cli import main as cli
-from geoevs.conditions.masks import read_masks
+from geoevs.conditions.artifact_masks import read_artifact_masks
 from geoevs.conditions.pairs import read_pairs
 from geoevs.geometry.lift import lidar_depths
 
@@ -50,8 +50,8 @@ def test_from_a_scene_to_its_pairs_and_library(geoevs, stage, tmp_path):
     assert geoevs("mask-library", masks, masks, "--out", library) == (0, "")
     assert len(read_pairs([pairs])) == 6
     # Two frames, two sides, two shifts; the part was given twice.
-    assert len(read_masks(library)) == 2 * 8
-    assert np.unique(read_masks(library).scene).tolist() == ["tiny"]
+    assert len(read_artifact_masks(library)) == 2 * 8
+    assert np.unique(read_artifact_masks(library).scene).tolist() == ["tiny"]
 
 
 def test_a_library_of_nothing_is_one_sentence(geoevs, tmp_path):

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chisquare, ks_2samp
 
+from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.conditions.bits import pack_masks
 from geoevs.conditions.injection import INJECTIONS, ArtifactInjection
-from geoevs.conditions.masks import MaskLibrary
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 HEIGHT, WIDTH = 32, 48
 

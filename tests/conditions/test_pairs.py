@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from geoevs.conditions.pairs import condition_map, make_pairs, read_pairs, write_pairs
-from geoevs.errors import GeoEvsError
-from geoevs.io import to_uint8
-from geoevs.scenes.tiny import MOUNT, tiny_camera, tiny_truth
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import to_uint8
+from geoevs.methods.tiny import MOUNT, tiny_camera, tiny_truth
 
 FIELDS = ("rgb", "valid", "target", "scene", "camera", "frame")
 

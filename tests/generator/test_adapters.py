@@ -5,11 +5,13 @@ import re
 import numpy as np
 import pytest
 
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.adapter_check import VIRTUAL, contract_failures
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_json
-from geoevs.scenes.tiny import MOUNT, tiny_camera, write_tiny_scene
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import VIRTUAL, contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import MOUNT, tiny_camera, write_tiny_scene
 
 METHODS = ("geo-evs", "geo-evs-support")
 

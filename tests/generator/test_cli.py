@@ -8,20 +8,22 @@ from dataclasses import asdict
 import pytest
 import torch
 
-from geoevs.adapter import Budget, Rng, make_method
 from geoevs.cli import main as cli
-from geoevs.conditions.masks import write_masks
+from geoevs.conditions.artifact_masks import write_artifact_masks
 from geoevs.conditions.pairs import write_pairs
-from geoevs.errors import GeoEvsError
-from geoevs.generator import autoencoder as autoencoders
-from geoevs.generator import denoiser as denoisers
-from geoevs.generator.generator import Generator
-from geoevs.generator.prior import load_prior
-from geoevs.generator.trained import trained_seconds
-from geoevs.generator.training import TrainingSettings
-from geoevs.io import read_json, write_json
-from geoevs.network_files import read_network
-from geoevs.scenes.tiny import write_tiny_scene
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, write_json
+from geoevs.core.networks import read_network
+from geoevs.core.randomness import Rng
+from geoevs.diffusion import autoencoder as autoencoders
+from geoevs.diffusion import denoiser as denoisers
+from geoevs.diffusion.prior import load_prior
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.task import TrainingSettings
+from geoevs.methods.contract import Budget
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import write_tiny_scene
+from geoevs.methods.trained import trained_seconds
 
 SETTINGS = asdict(
     TrainingSettings(
@@ -64,7 +66,7 @@ def geoevs(monkeypatch, capsys):
 @pytest.fixture
 def train(geoevs, pairs, library, weights, tmp_path):
     write_pairs(tmp_path / "pairs.npz", pairs)
-    write_masks(tmp_path / "library.npz", library)
+    write_artifact_masks(tmp_path / "library.npz", library)
 
     def run(*arguments, **changed):
         settings = json.dumps(SETTINGS | changed)

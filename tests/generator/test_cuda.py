@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.generator.diffusion import Diffusion
-from geoevs.generator.generator import Generator, Sampling
-from geoevs.generator.training import TrainingSettings, train_geo_evs
+from geoevs.diffusion.process import Diffusion
+from geoevs.generator.geo_evs.model import Generator, Sampling
+from geoevs.generator.geo_evs.task import TrainingSettings, train_geo_evs
 
 pytestmark = pytest.mark.cuda
 

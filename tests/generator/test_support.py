@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.generator.push_pull import push_pull
-from geoevs.generator.support import keep_support
+from geoevs.diffusion.push_pull import push_pull
+from geoevs.generator.geo_evs_support.support import keep_support
 
 
 @pytest.fixture

@@ -2,9 +2,9 @@ import pytest
 import torch
 
 from geoevs.geometry.vggt import VggtConfig, new_vggt, save_vggt
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.scenes.depths import write_depths
 from geoevs.scenes.scene import Frame
-from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
 
 @pytest.fixture(scope="session")

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geoevs.adapter import Views
 from geoevs.geometry import blending
 from geoevs.geometry.blending import LEAST_ANGLE, MARGIN, TOLERANCE, BlendedViews, weigh
 from geoevs.geometry.lifted import LiftedViews
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import CAR, MOUNT, STEP, tiny_camera, tiny_truth
 from geoevs.projection import unproject_depth
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.tiny import CAR, MOUNT, STEP, tiny_camera, tiny_truth
 
 TARGET = tiny_camera("target", 15.0, MOUNT + np.array([0.2, 0.6, 0.0]))
 DECLARED = ("lidar", "tracks")

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from geoevs.geometry.vggt import load_vggt
+from geoevs.methods.tiny import tiny_camera, tiny_truth
 from geoevs.projection import VISIBILITIES, project_points, unproject_depth, zbuffer
-from geoevs.scenes.tiny import tiny_camera, tiny_truth
 
 pytestmark = pytest.mark.cuda
 

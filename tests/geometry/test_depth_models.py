@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.geometry.depth_models import DEPTH_MODELS, make_depth_model
 from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.vggt import VggtConfig, load_vggt, new_vggt, save_vggt
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import HEIGHT, WIDTH, write_tiny_scene
 from geoevs.projection import zbuffer
-from geoevs.scenes.tiny import HEIGHT, WIDTH, write_tiny_scene
 
 # The tiny scene is 48 x 72: patches of 14 need 42 x 70, and patches of 8 fit.
 SIZES = {"vggt-nano": 8, "vggt-1b": 14}

@@ -11,14 +11,14 @@ import torch
 
 from geoevs.cli import geometry as commands
 from geoevs.cli import main as cli
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, write_arrays
+from geoevs.core.networks import read_network
 from geoevs.geometry.finetuning import FAR, read_depth_frames
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
-from geoevs.io import read_json, write_arrays
-from geoevs.network_files import read_network
+from geoevs.methods.tiny import HEIGHT, WIDTH
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
-from geoevs.scenes.tiny import HEIGHT, WIDTH
 
 
 def test_truth_supervises_where_it_is(tiny, tiny_depths, tmp_path):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.adapter import Rng
+from geoevs.core.files import write_arrays
+from geoevs.core.randomness import Rng
 from geoevs.geometry.finetuning import (
     BRIGHTEST,
     DARKEST,
@@ -17,9 +18,8 @@ from geoevs.geometry.finetuning import (
     read_depth_frames,
 )
 from geoevs.geometry.vggt import VGGT_NANO, DepthPrediction
-from geoevs.io import write_arrays
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.projection import zbuffer
-from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
 
 class Watcher(torch.nn.Module):

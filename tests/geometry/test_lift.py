@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from geoevs.adapter import Views
 from geoevs.geometry.lift import LIFT_SCALE, lidar_depths, lift_frame, lift_view
-from geoevs.projection import rasterize
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import MOUNT, tiny_camera, tiny_truth, write_tiny_scene
+from geoevs.projection import rasterize_points
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.tiny import MOUNT, tiny_camera, tiny_truth, write_tiny_scene
 
 CAMERA = tiny_camera("front", 0.0, MOUNT)
 
@@ -23,7 +23,7 @@ def test_a_view_returns_to_its_own_pose():
     xyz, colours = lift_view(rgb / np.float32(255), depth, CAMERA, CAMERA)
     assert xyz.dtype == colours.dtype == np.float32
     assert len(xyz) == LIFT_SCALE**2 * depth.size
-    raster = rasterize(xyz, colours, CAMERA)
+    raster = rasterize_points(xyz, colours, CAMERA)
     assert raster.mask.mean() > 0.99
     # Each pixel shows one of its points, at most a quarter of a pixel from its centre.
     assert np.abs(raster.image - rgb / 255.0).mean() < 0.01
@@ -51,7 +51,7 @@ def test_points_are_as_fine_as_the_target_needs(factor, scale):
     xyz, colours = lift_view(rgb / np.float32(255), depth, CAMERA, target)
     assert len(xyz) == scale**2 * depth.size
     if factor >= 1:
-        assert rasterize(xyz, colours, target).mask.mean() > 0.99
+        assert rasterize_points(xyz, colours, target).mask.mean() > 0.99
 
 
 def test_a_frame_holds_all_its_views(tmp_path):

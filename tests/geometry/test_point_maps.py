@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.point_maps import PointMaps, write_point_maps
-from geoevs.scenes.tiny import write_tiny_scene
+from geoevs.methods.tiny import write_tiny_scene
 
 
 class Numbered:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.adapter import Rng, Views
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.networks import seeded
+from geoevs.core.optimising import Optimisation, optimise
+from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.finetuning import FAR
 from geoevs.geometry.lidar import complete_depth, lidar_reach
@@ -20,9 +22,9 @@ from geoevs.geometry.refinement import (
 )
 from geoevs.geometry.refiner_training import RefinementTask, RefinerViews, read_refiner_views
 from geoevs.geometry.vggt import VggtConfig, load_vggt, new_vggt, save_vggt
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import FOCAL, HEIGHT, WIDTH, tiny_truth, write_tiny_scene
 from geoevs.projection import zbuffer
-from geoevs.scenes.tiny import FOCAL, HEIGHT, WIDTH, tiny_truth, write_tiny_scene
-from geoevs.training import Optimisation, seeded, train
 
 CHANNELS = (4, 4)
 
@@ -152,7 +154,7 @@ def test_it_learns_and_previews(view, tmp_path):
     inputs = refiner_inputs(*view)
     task = RefinementTask(new_refiner(), one_view(inputs, tiny_truth(view[3]).depth), 2)
     first = np.mean([task.losses(Rng(0, str(k)))["loss"].item() for k in range(4)])
-    trained = train(task, Optimisation(60, 1e-2), 0, "refiner", tmp_path)
+    trained = optimise(task, Optimisation(60, 1e-2), 0, "refiner", tmp_path)
     task.model = trained
     assert np.mean([task.losses(Rng(0, str(k)))["loss"].item() for k in range(4)]) < 0.6 * first
     assert task.batch(Rng(0, "0")) == ["view", "view"]

@@ -3,8 +3,8 @@
 import numpy as np
 
 from geoevs.geometry.sky import find_sky
+from geoevs.methods.tiny import HEIGHT, WIDTH, tiny_camera
 from geoevs.projection import project_points
-from geoevs.scenes.tiny import HEIGHT, WIDTH, tiny_camera
 
 
 def test_sky_is_bright_smooth_and_without_points():

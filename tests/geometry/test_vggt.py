@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.geometry import vggt
 from geoevs.geometry.depth_loss import depth_loss
 from geoevs.geometry.vggt import (

@@ -9,10 +9,11 @@ from typing import ClassVar
 import pytest
 
 import baselines
-from geoevs.adapter import Budget
-from geoevs.io import read_json
+from geoevs.core.files import read_json
+from geoevs.methods.contract import Budget
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
+from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
 from geoevs.protocol.entries import MethodEntry
-from geoevs.protocol.masks import RawReprojection, make_masks
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.runs import fit_method, render_method
@@ -21,7 +22,6 @@ from geoevs.protocol.targets import Target, make_targets, write_targets
 from geoevs.protocol.truth import write_truth
 from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.store import Scene
-from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
 PROTOCOL = {
     "lateral": [-1.0, 1.0],
@@ -33,8 +33,8 @@ TEMPLATE = """
 import os, signal
 from dataclasses import dataclass
 import numpy as np
-from geoevs.adapter import FitReport, MethodInfo, Rendering
-from geoevs.errors import GeoEvsError
+from geoevs.methods.contract import FitReport, MethodInfo, Rendering
+from geoevs.core.errors import GeoEvsError
 
 @dataclass
 class Method:
@@ -129,7 +129,7 @@ def stage(tmp_path_factory):
     write_targets(folder / "targets.json", targets)
     reprojection = RawReprojection(store)
     write_records(folder / "references.npz", make_references(store, targets, reprojection, seed=0))
-    write_records(folder / "masks.npz", make_masks(targets, reprojection))
+    write_records(folder / "masks.npz", make_condition_masks(targets, reprojection))
     write_truth(folder / "truth", TinySource(), SceneRef("tiny"), targets, lambda: None)
     return Stage(folder, store, targets)
 

@@ -5,14 +5,14 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.io import write_arrays, write_image, write_json
+from geoevs.core.files import write_arrays, write_image, write_json
+from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import References
 from geoevs.protocol.targets import write_targets
 from geoevs.protocol.truth import dense_truth
-from geoevs.scenes.tiny import tiny_truth
 
 PLACE = {"dataset": "d", "scene": "tiny"}
 FINE = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}

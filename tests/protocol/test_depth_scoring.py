@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from geoevs.geometry.depth_models import LidarDepth
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.projection import zbuffer
 from geoevs.protocol.depth_scoring import FARTHEST, Candidate, depth_scores
 from geoevs.scenes.depths import write_depths
 from geoevs.scenes.scene import Frame
-from geoevs.scenes.tiny import tiny_truth, write_tiny_scene
 
 PLACE = {"dataset": "d", "scene": "tiny-1"}
 

@@ -12,7 +12,7 @@ from geoevs.protocol.isolate import MethodFailedError, run_isolated
 CHILD = """
 import os, signal, sys, time
 import numpy as np
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 def double(value):
     return 2 * value

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from geoevs.adapter import Views
-from geoevs.errors import GeoEvsError
-from geoevs.protocol.masks import RawReprojection
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import tiny_camera, tiny_truth, write_tiny_scene
+from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import References, make_references, sparse_reference
 from geoevs.protocol.targets import Target, make_targets
 from geoevs.scenes.scene import PointCloud
-from geoevs.scenes.tiny import tiny_camera, tiny_truth, write_tiny_scene
 
 PROTOCOL = {
     "lateral": [-1.0, 1.0],

@@ -4,7 +4,8 @@ import math
 import pandas as pd
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol import rows
 from geoevs.protocol.metrics import METRICS, MetricSpec
 from geoevs.protocol.rows import (
@@ -15,7 +16,6 @@ from geoevs.protocol.rows import (
     protocol_fingerprint,
     score_frame,
 )
-from geoevs.scenes.tiny import write_tiny_scene
 
 PROTOCOL = {"lateral": [-1.0, 1.0], "pose_sweep": {"angles": [10.0], "every": 2}}
 

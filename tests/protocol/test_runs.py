@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoevs.adapter import Budget
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_image, write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_image, write_json
+from geoevs.methods.contract import Budget
 from geoevs.protocol.entries import MethodEntry, read_outcomes
 from geoevs.protocol.render_step import render_step
 from geoevs.protocol.runs import fit_method, render_method
@@ -60,7 +60,7 @@ FAILURES = {
 
 @pytest.mark.parametrize("error", ["GeoEvsError", "KeyError"])
 def test_what_a_fit_stopped_at_on_purpose_is_kept(toy, attempt, tmp_path, error):
-    lines = f"from geoevs.errors import GeoEvsError; raise {error}('stopped')"
+    lines = f"from geoevs.core.errors import GeoEvsError; raise {error}('stopped')"
     fits, _ = attempt(toy("bad", fit=lines))
     assert (fits["all-cameras"]["status"], fits["all-cameras"]["stage"]) == ("failed", "fit")
     reason, folder = fits["all-cameras"]["reason"], tmp_path / "model" / "all-cameras" / "model"

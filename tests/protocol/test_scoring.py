@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_image, write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_image, write_json
 from geoevs.protocol.entries import REFERENCE, MethodEntry
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.oracle import Oracle

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.metrics import GMS
 from geoevs.protocol.set_metrics import (
     SET_METRICS,
@@ -15,7 +16,6 @@ from geoevs.protocol.set_metrics import (
     standardise,
     texture_features,
 )
-from geoevs.scenes.tiny import write_tiny_scene
 
 TEXTURE = SET_METRICS["texture_energy"]
 

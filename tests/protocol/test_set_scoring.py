@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.io import to_uint8, write_image, write_json
+from geoevs.core.files import to_uint8, write_image, write_json
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.set_scoring import SET_TYPES, score_sets, set_frame
 from geoevs.protocol.targets import read_targets

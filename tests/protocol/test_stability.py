@@ -5,10 +5,11 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.io import read_json, write_image
+from geoevs.core.files import read_json, write_image
+from geoevs.methods.tiny import CAR, ROOM, tiny_camera, tiny_truth, write_tiny_scene
 from geoevs.projection import unproject_depth
+from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry
-from geoevs.protocol.masks import RawReprojection
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.stability import (
@@ -26,7 +27,6 @@ from geoevs.protocol.stressors import STRESSORS
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.protocol.truth import write_truth
 from geoevs.scenes.scene import SceneRef
-from geoevs.scenes.tiny import CAR, ROOM, tiny_camera, tiny_truth, write_tiny_scene
 
 LEVELS = {name: [] for name in STRESSORS} | {
     "support": [0.05, 0.01],

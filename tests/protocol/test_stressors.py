@@ -5,7 +5,7 @@ import filecmp
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.projection import zbuffer
 from geoevs.protocol.stressors import CHANGES, STRESSORS, write_stressed
 from geoevs.scenes.camera import angle_between

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.targets import (
     FRONT_SIDE,
     make_targets,
@@ -10,7 +11,6 @@ from geoevs.protocol.targets import (
     write_targets,
 )
 from geoevs.scenes.camera import angle_between
-from geoevs.scenes.tiny import write_tiny_scene
 
 PROTOCOL = {
     "lateral": [-1.0, 1.0],

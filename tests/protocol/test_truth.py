@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from geoevs.io import read_arrays, read_image, read_json, to_uint8
+from geoevs.core.files import read_arrays, read_image, read_json, to_uint8
+from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.truth import dense_truth, write_truth
 from geoevs.scenes.scene import SceneRef
-from geoevs.scenes.tiny import tiny_truth
 
 
 def test_truth_is_of_every_target_that_no_camera_recorded(stage):

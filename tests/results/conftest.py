@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.io import write_image
-from geoevs.protocol.masks import RawReprojection, make_masks
+from geoevs.core.files import write_image
+from geoevs.methods.tiny import write_tiny_scene
+from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.rows import SCORE_TYPES, score_frame
 from geoevs.protocol.targets import make_targets, write_targets
-from geoevs.scenes.tiny import write_tiny_scene
 
 PLACE = {"dataset": "d", "scene": "s"}
 PROTOCOL = {
@@ -50,7 +50,9 @@ def run(tmp_path_factory):
     reprojection = RawReprojection(store)
     references = make_references(store, targets, reprojection, seed=0)
     write_records(folder / layout.REFERENCES.format(**PLACE), references)
-    write_records(folder / layout.MASKS.format(**PLACE), make_masks(targets, reprojection))
+    write_records(
+        folder / layout.MASKS.format(**PLACE), make_condition_masks(targets, reprojection)
+    )
     renders = folder / layout.RENDERS.format(label="grey", **PLACE)
     for target in targets:
         write_image(renders / f"{target.key}.png", np.full((48, 72, 3), 99, np.uint8))

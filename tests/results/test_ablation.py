@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.results.ablation import (
     MEASURES,
     ablation_latex,

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_bytes, write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_bytes, write_json
 from geoevs.results.compare import compare_entrants, comparison_text, paired_of, rows_of
 
 SETTINGS = {"resamples": 200, "confidence": 0.95}

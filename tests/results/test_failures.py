@@ -5,8 +5,8 @@ import math
 import pytest
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_bytes
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_bytes
 from geoevs.protocol.rows import COST_TYPES, cost_frame
 from geoevs.results.failures import fit_failures, run_failures, stress_failures
 

@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
-from geoevs.protocol.masks import ConditionMask
+from geoevs.core.errors import GeoEvsError
+from geoevs.protocol.condition_masks import ConditionMask
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.results.figures import (

@@ -4,7 +4,7 @@ import platform
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.results import manifest
 from geoevs.results.manifest import (
     add_provenance,

@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from geoevs import layout
+from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.conditions.bits import pack_masks
-from geoevs.conditions.masks import MaskLibrary
 from geoevs.protocol.reference import References
 from geoevs.protocol.targets import read_targets
 from geoevs.results.figures import BACKGROUND, HEADER, MARGIN, UNSUPPORTED

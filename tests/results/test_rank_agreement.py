@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
 from geoevs.results.tables import paper_values
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.results.tables import bin_labels, display_name, is_control, make_table
 
 BINS = {"pose_bins": [0, 5, 10], "support_bins": [0, 0.02, 0.1]}

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.tiny import tiny_camera
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera, angle_between
-from geoevs.scenes.tiny import tiny_camera
 
 K = np.array([[100.0, 0, 50], [0, 120, 40], [0, 0, 1]])
 

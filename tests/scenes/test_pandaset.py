@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import TRACK_COLUMNS, SceneRef, load_source
 from geoevs.scenes.sources.pandaset.calibration import pose_matrix

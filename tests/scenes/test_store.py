@@ -7,13 +7,13 @@ import pandas as pd
 import pycolmap
 import pytest
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_json, to_uint8, write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, to_uint8, write_json
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo, SceneRef
 from geoevs.scenes.store import Scene, camera_from_json, write_scene
-from geoevs.scenes.tiny import write_tiny_scene
 
 INFO = SceneInfo("a", "made up", "CC0-1.0", Rig("front", "left", "right", "beam"), ("front",))
 TRACKS = pd.DataFrame([], columns=list(TRACK_COLUMNS))

@@ -7,7 +7,7 @@ import drjit
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import TRACK_COLUMNS, SceneRef
 from geoevs.scenes.sources.street.finishes import make_finishes

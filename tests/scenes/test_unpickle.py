@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.sources.pandaset import unpickle
 from geoevs.scenes.sources.pandaset.unpickle import read_table
 

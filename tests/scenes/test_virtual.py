@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.methods.tiny import tiny_camera
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.tiny import tiny_camera
 from geoevs.scenes.virtual import virtual_camera
 
 

@@ -2,7 +2,7 @@
 
 import re
 
-from geoevs.io import read_json
+from geoevs.core.files import read_json
 
 OTHER = """\
 datasets:

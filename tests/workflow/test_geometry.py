@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from geoevs.generator.prior import load_prior
+from geoevs.core.files import read_json
+from geoevs.diffusion.prior import load_prior
 from geoevs.geometry.refinement import NANO_CHANNELS
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
-from geoevs.io import read_json
 from geoevs.results.manifest import hash_path
 
 

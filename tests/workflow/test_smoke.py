@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs.conditions.masks import read_masks
+from geoevs.conditions.artifact_masks import read_artifact_masks
 from geoevs.conditions.pairs import read_pairs
+from geoevs.core.files import read_image, read_json
 from geoevs.geometry.vggt import load_vggt
-from geoevs.io import read_image, read_json
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.results.tables import TABLES
 
@@ -81,7 +81,7 @@ def test_it_makes_pairs_and_masks(smoke_run):
     results = workspace.folder / "results/smoke"
     pairs = read_pairs([results / "pairs/street-train/straight-301.npz"])
     assert pairs.target.shape == (10, 64, 96, 3)
-    library = read_masks(results / "artifact-masks/library.npz")
+    library = read_artifact_masks(results / "artifact-masks/library.npz")
     # Two frames at two shifts: straight ahead, and half-way to both sides.
     assert len(library) == 2 * 2 * 3
     assert set(library.scene) == set(pairs.scene) == {"straight-301"}

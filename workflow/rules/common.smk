@@ -6,9 +6,9 @@ from functools import cache
 from pathlib import Path
 
 from geoevs import layout
-from geoevs.adapter import find_methods
-from geoevs.code_hash import code_hash
-from geoevs.config import (
+from geoevs.methods.finding import find_methods
+from geoevs.core.code_hash import code_hash
+from geoevs.config.checks import (
     FREEVS,
     SUITE_MODEL,
     check_config,
@@ -17,7 +17,7 @@ from geoevs.config import (
     stability_entries,
     training_settings,
 )
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,

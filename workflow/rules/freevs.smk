@@ -32,7 +32,7 @@ rule train_freevs:
         weights=config["weights"],
         prior=lambda wildcards: prior_hash(config["freevs"]["prior"]),
         work=in_run(layout.TRAINING).format(network="freevs.seed{seed}"),
-        code=code_hash("baselines.freevs.training"),
+        code=code_hash("baselines.freevs.task"),
     shell:
         "geoevs --log {log:q} train-freevs {params.clips} --settings {params.settings:q}"
         " --weights {params.weights:q} --work {params.work:q} --seed {wildcards.seed}"

@@ -13,7 +13,7 @@ rule masks:
         in_run("benchmarks/masks/{dataset}/{scene}.tsv")
     params:
         poses=json.dumps(config["conditions"]["masks"]),
-        code=code_hash("geoevs.conditions.masks"),
+        code=code_hash("geoevs.conditions.artifact_masks"),
     shell:
         "geoevs --log {log:q} masks --scene {input.scene:q} --point-maps {input.point_maps:q}"
         " --poses {params.poses:q} --out {output:q}"
@@ -27,7 +27,7 @@ rule mask_library:
     log:
         in_run("logs/mask_library.log"),
     params:
-        code=code_hash("geoevs.conditions.masks"),
+        code=code_hash("geoevs.conditions.artifact_masks"),
     shell:
         "geoevs --log {log:q} mask-library {input:q} --out {output:q}"
 

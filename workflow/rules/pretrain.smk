@@ -62,7 +62,7 @@ rule pretrain_autoencoder:
         scenes=lambda wildcards, input: with_option("--scenes", input.scenes),
         settings=training_arguments(config["pretrain"]["autoencoder"]),
         work=pretraining_work("autoencoder"),
-        code=code_hash("geoevs.generator.pretraining"),
+        code=code_hash("geoevs.diffusion.pretraining"),
     shell:
         "geoevs --log {log:q} train-autoencoder {params.scenes} {params.settings}"
         " --work {params.work:q} --out {output:q}"
@@ -83,7 +83,7 @@ rule pretrain_prior:
         scenes=lambda wildcards, input: with_option("--scenes", input.scenes),
         settings=training_arguments(config["pretrain"]["prior"]),
         work=pretraining_work("prior"),
-        code=code_hash("geoevs.generator.pretraining"),
+        code=code_hash("geoevs.diffusion.pretraining"),
     shell:
         "geoevs --log {log:q} train-prior {params.scenes} --autoencoder {input.autoencoder:q}"
         " {params.settings} --work {params.work:q} --out {output:q}"

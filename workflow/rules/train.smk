@@ -27,7 +27,7 @@ rule train:
             training_settings(config, wildcards.training)["prior"]
         ),
         work=in_run(layout.TRAINING).format(network="{training}.seed{seed}"),
-        code=code_hash("geoevs.generator.training"),
+        code=code_hash("geoevs.generator.geo_evs.task"),
     shell:
         "geoevs --log {log:q} train {params.pairs} --library {input.library:q}"
         " --settings {params.settings:q} --weights {params.weights:q}"

@@ -6,8 +6,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.io import read_json, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 

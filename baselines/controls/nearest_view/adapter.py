@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 import cv2
 import numpy as np
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera, angle_between
 
 # Rays from behind the source camera are pushed this far before it, hence to its border.

@@ -6,12 +6,13 @@ from typing import Self
 
 import numpy as np
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import read_json, write_json
+from geoevs.core.randomness import Rng
 from geoevs.geometry.blending import BlendedViews
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.lifted import LiftedViews
-from geoevs.io import read_json, write_json
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 FRAMES = {"own": LiftedViews, "all": BlendedViews}

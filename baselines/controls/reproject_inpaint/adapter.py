@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 
 from baselines.controls.reproject.adapter import Method as Reprojection
-from geoevs.adapter import Budget, FitReport, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError, did_you_mean
-from geoevs.io import read_json, to_uint8, write_json
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import read_json, to_uint8, write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import Budget, FitReport, Rendering, Views
 from geoevs.scenes.camera import Camera
 
 RADIUS = 5  # pixels; 3 loses 0.03 dB, 8 gains as much and takes longer

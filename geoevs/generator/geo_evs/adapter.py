@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from geoevs.adapter import Budget, FitReport, MethodInfo, Rendering, Rng, Views
-from geoevs.errors import GeoEvsError
-from geoevs.generator.trained import asked_options, link_trained, read_trained, trained_seconds
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, write_json
+from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
-from geoevs.io import read_json, write_json
+from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
+from geoevs.methods.trained import asked_options, link_trained, read_trained, trained_seconds
 from geoevs.projection import Raster
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
-    from geoevs.generator.generator import Generator, Sampling
+    from geoevs.generator.geo_evs.model import Generator, Sampling
 
 # torch is imported where networks are made: configs are checked without one.
 
@@ -106,7 +107,7 @@ class Method:
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample; the settings of their training."""
-        from geoevs.generator.generator import Generator, Sampling
+        from geoevs.generator.geo_evs.model import Generator, Sampling
 
         settings = read_trained(Path(self.weights))
         asked = asked_options(self, SAMPLING_OPTIONS)

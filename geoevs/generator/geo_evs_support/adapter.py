@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from geoevs.adapter import MethodInfo
 from geoevs.generator.geo_evs.adapter import Method as GeoEvs
-from geoevs.generator.support import keep_support
+from geoevs.generator.geo_evs_support.support import keep_support
 from geoevs.geometry.blending import BlendedViews
 from geoevs.geometry.lifted import LiftedViews
+from geoevs.methods.contract import MethodInfo
 
 
 @dataclass

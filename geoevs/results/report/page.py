@@ -15,13 +15,13 @@ import pandas as pd
 import vl_convert
 
 from geoevs import layout
-from geoevs.io import read_json, whole_file
+from geoevs.core.files import read_json, whole_file
 from geoevs.protocol.entries import MethodEntry
 from geoevs.results.failures import Failure, run_failures
+from geoevs.results.report.markdown import markdown_html
 from geoevs.results.report.pictures import comparison, file_address
-from geoevs.results.report.prose import markdown_html
+from geoevs.results.report.sentences import summarise_gaps, summarise_run
 from geoevs.results.report.suites import summarise_suites
-from geoevs.results.report.words import summarise_gaps, summarise_run
 from geoevs.results.tables import TABLES, display_name, is_control
 
 PAGE_BYTES = 24_500_000

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from geoevs import layout
-from geoevs.io import read_image, to_uint8
+from geoevs.core.files import read_image, to_uint8
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.results.figures import Evidence, mask_picture, validity_picture

@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 
 from geoevs import layout
-from geoevs.io import whole_file
+from geoevs.core.files import whole_file
 from geoevs.results.audit_page import RANKS_WELL
-from geoevs.results.report.words import METRIC_NAMES
+from geoevs.results.report.sentences import METRIC_NAMES
 from geoevs.results.tables import display_name
 
 

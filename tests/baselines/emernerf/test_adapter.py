@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 from baselines.emernerf.adapter import STEPS_AN_IMAGE
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.adapter_check import contract_failures
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
 from geoevs.projection import colour_points, unproject_depth
 from geoevs.scenes import tiny as room
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo

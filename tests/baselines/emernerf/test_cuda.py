@@ -7,10 +7,12 @@ import torch
 from baselines.emernerf import hash_grid
 from baselines.emernerf.hash_grid import HashGrid
 from baselines.emernerf.tcnn_backend import tcnn_installed
-from geoevs import network_files
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.adapter_check import contract_failures
-from geoevs.scenes.tiny import write_tiny_scene
+from geoevs.core import networks
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import write_tiny_scene
 
 pytestmark = pytest.mark.cuda
 SMALL = {"rays": 64, "levels": 4, "log2_entries": 8, "width": 8, "samples": (8, 4, 4)}
@@ -58,7 +60,7 @@ def test_a_fit_learns_and_its_field_renders_the_same_on_the_cpu(tmp_path, monkey
     shown = method.render(camera, 0)
     assert np.abs(shown.rgb - scene.image("front", 0)).mean() < 0.15
     method.save(tmp_path)
-    monkeypatch.setattr(network_files, "best_device", lambda: "cpu")
+    monkeypatch.setattr(networks, "best_device", lambda: "cpu")
     again = type(method).load(tmp_path)
     assert next(again._model.parameters()).device.type == "cpu"
     assert np.abs(shown.rgb - again.render(camera, 0).rgb).max() < 0.02

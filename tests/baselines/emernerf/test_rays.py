@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from baselines.emernerf.rays import ERROR_CELL, TrainingRays, find_motion, find_place, pixel_rays
-from geoevs.adapter import Views
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import HEIGHT, MOUNT, ROOM, WIDTH, write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.scene import TRACK_COLUMNS
-from geoevs.scenes.tiny import HEIGHT, MOUNT, ROOM, WIDTH, write_tiny_scene
 
 
 @pytest.fixture(scope="module")

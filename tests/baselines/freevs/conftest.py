@@ -6,10 +6,10 @@ import torch
 from baselines.freevs.clips import make_clips
 from baselines.freevs.denoiser import ClipDenoiser
 from baselines.freevs.model import ClipGenerator
-from baselines.freevs.training import TrainingSettings
-from geoevs.io import write_json
-from geoevs.scenes.tiny import write_tiny_scene
-from geoevs.training import seeded
+from baselines.freevs.task import TrainingSettings
+from geoevs.core.files import write_json
+from geoevs.core.networks import seeded
+from geoevs.methods.tiny import write_tiny_scene
 
 FRAMES = 2  # as many as the tiny scene has
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from baselines.freevs.adapter import Method
-from geoevs.adapter import Budget, Rng, Views
-from geoevs.adapter_check import VIRTUAL, contract_failures
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_json
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import VIRTUAL, contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.tiny import STEP, write_tiny_scene
 from geoevs.scenes.scene import PointCloud
-from geoevs.scenes.tiny import STEP, write_tiny_scene
 
 
 @pytest.fixture

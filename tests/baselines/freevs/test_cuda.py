@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.freevs.model import ClipGenerator
-from baselines.freevs.training import train_freevs
-from geoevs.adapter_check import contract_failures
+from baselines.freevs.task import train_freevs
+from geoevs.methods.check import contract_failures
 
 pytestmark = pytest.mark.cuda
 

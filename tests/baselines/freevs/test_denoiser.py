@@ -9,7 +9,7 @@ import torch
 
 from baselines.freevs.denoiser import ClipDenoiser, Preconditioning
 from baselines.freevs.model import ClipGenerator, Sampling, sample
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 FRAMES = 3
 

@@ -10,12 +10,12 @@ import torch
 
 from baselines.gaussians.interface import Footprints
 from baselines.gaussians.model import Gaussians
-from geoevs.adapter import Views
-from geoevs.io import to_uint8
+from geoevs.core.files import to_uint8
+from geoevs.methods.contract import Views
+from geoevs.methods.tiny import tiny_camera
 from geoevs.projection import unproject_depth
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
 from geoevs.scenes.store import Scene, write_scene
-from geoevs.scenes.tiny import tiny_camera
 
 WALL = 8.0  # x, metres
 

@@ -9,7 +9,7 @@ import torch
 from baselines.gaussians.binning_kernels import TILE, bin_splats, depth_order
 from baselines.gaussians.projection_kernels import COLUMNS, DEPTH, project
 from baselines.gaussians.reference import project as project_reference
-from geoevs.projection_kernels import lens_of
+from geoevs.projection.kernels import lens_of
 from geoevs.scenes.camera import Camera
 
 CAMERA = Camera([[60, 0, 40], [0, 60, 30], [0, 0, 1]], np.eye(4), 50, 75)

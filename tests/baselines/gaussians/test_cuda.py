@@ -10,11 +10,11 @@ import torch
 from baselines.gaussians.initialisation import starting_points
 from baselines.gaussians.model import gaussians_from_points
 from baselines.gaussians.nodes import Background, SceneGraph, Sky
-from baselines.gaussians.rasterizer import blending_weights, rasterize
+from baselines.gaussians.rasterizer import blending_weights, rasterize_gaussians
 from baselines.gaussians.size import HELD_OUT, psnr
 from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
-from geoevs.adapter_check import contract_failures
-from geoevs.scenes.tiny import tiny_camera
+from geoevs.methods.check import contract_failures
+from geoevs.methods.tiny import tiny_camera
 
 pytestmark = [
     pytest.mark.cuda,
@@ -43,7 +43,7 @@ def drawn_on(device):
     """Pictures, gradients and footprints of random Gaussians, on the CPU again."""
     leaves = [part.to(device).requires_grad_() for part in random_gaussians()]
     background = torch.tensor([0.2, 0.5, 0.8], device=device)
-    drawn = rasterize(*leaves, CAMERA, background)
+    drawn = rasterize_gaussians(*leaves, CAMERA, background)
     draw = torch.Generator().manual_seed(1)
     sum((p * torch.randn(p.shape, generator=draw).to(device)).sum() for p in drawn[:3]).backward()
     grads = [leaf.grad.cpu() for leaf in leaves] + [drawn.footprints.means2d_grad.cpu()]

@@ -17,8 +17,8 @@ from baselines.gaussians.densification import (
 )
 from baselines.gaussians.interface import Footprints
 from baselines.gaussians.optimiser import Optimiser
-from baselines.gaussians.reference import rotation_matrices
-from geoevs.errors import GeoEvsError
+from baselines.gaussians.rotations import rotation_matrices
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 # A half side is 50 pixels, so that a gradient of 1 a pixel is 50 as strategies count.

@@ -8,7 +8,7 @@ import pytest
 from baselines.gaussians import initialisation
 from baselines.gaussians.initialisation import scene_extent, starting_points, with_far_points
 from baselines.gaussians.options import FEWEST
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.projection import project_points
 
 ASIDE = [(0.0, 0.5 * frame, 1.6) for frame in range(4)]

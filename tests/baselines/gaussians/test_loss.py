@@ -12,7 +12,7 @@ from baselines.gaussians.loss import (
     photometric_loss,
     photometric_loss_reference,
 )
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 
 def pictures(height, width, dtype=torch.float64):

@@ -6,7 +6,7 @@ import torch
 
 from baselines.gaussians.constants import SH_C0
 from baselines.gaussians.model import gaussians_from_points
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 
 def test_gaussians_start_as_published():

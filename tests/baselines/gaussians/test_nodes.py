@@ -9,11 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from baselines.gaussians.nodes import FOURIER, Actor, Background, SceneGraph, Sky
-from baselines.gaussians.rasterizer import rasterize
-from baselines.gaussians.reference import rotation_matrices, shade
+from baselines.gaussians.rasterizer import rasterize_gaussians
+from baselines.gaussians.reference import shade
+from baselines.gaussians.rotations import rotation_matrices
 from baselines.gaussians.storage import scene_arrays, scene_from_arrays
-from geoevs.io import read_arrays, write_arrays
-from geoevs.scenes.tiny import tiny_camera
+from geoevs.core.files import read_arrays, write_arrays
+from geoevs.methods.tiny import tiny_camera
 
 FRAMES = (2, 3, 6)
 YAW, CENTRE = 0.7, [1.0, -2.0, 0.5]
@@ -138,7 +139,7 @@ def test_actors_are_left_out_only_where_they_do_not_show(
     size, zero = torch.tensor([6.0, 6.0, 6.0]), torch.zeros(1)
     actor = Actor("car", gaussians, (0,), size, place, zero, torch.zeros(1, 3), zero)
     actor.confine()
-    if rasterize(*actor.placed(0), AHEAD).opacity.any():
+    if rasterize_gaussians(*actor.placed(0), AHEAD).opacity.any():
         assert actor.reaches(AHEAD, 0)
     if abs(azimuth) > 135 and distance > 10:
         assert not actor.reaches(AHEAD, 0)

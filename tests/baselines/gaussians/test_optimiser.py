@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from baselines.gaussians.optimiser import LEARNING_RATES, Optimiser
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 STEPS, EXTENT = 10, 5.0
 OPACITIES = [0.2, 0.4, 0.6, 0.8]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from baselines.gaussians.constants import ALPHA_CAP, BLUR, SH_C0, TRANSMITTANCE_THRESHOLD
 from baselines.gaussians.gsplat_backend import rasterize_gsplat
-from baselines.gaussians.rasterizer import blending_weights, rasterize
+from baselines.gaussians.rasterizer import blending_weights, rasterize_gaussians
 from baselines.gaussians.reference import rasterize_reference
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 # Made once with gsplat 1.6.0 at 90d7b4b (Apache 2.0), in float64: `_fully_fused_projection`,
@@ -104,7 +104,7 @@ def check_against_twin(
     gaussians: Gaussians, camera: Camera, background: torch.Tensor | None = None, tolerance=2e-4
 ) -> None:
     """Pictures, radii and every gradient, the gradients by the norm of the difference."""
-    found, grads, radii = draw_and_differentiate(rasterize, gaussians, camera, background)
+    found, grads, radii = draw_and_differentiate(rasterize_gaussians, gaussians, camera, background)
     expected, expected_grads, expected_radii = draw_and_differentiate(
         rasterize_reference, gaussians, camera, background
     )
@@ -120,7 +120,7 @@ def check_against_twin(
 class TestByHand:
     def test_one_gaussian(self) -> None:
         camera = straight_camera(5, 7, focal=20.0)
-        drawn = rasterize(*one_gaussian().values(), camera)
+        drawn = rasterize_gaussians(*one_gaussian().values(), camera)
         # One standard deviation is 20 * 0.1 / 2 = 1 pixel, and the blur widens it.
         variance = 1.0 + BLUR
         colour = 0.5 + SH_C0 * np.array([0.5, 0.0, -0.5])
@@ -134,7 +134,7 @@ class TestByHand:
         np.testing.assert_allclose(drawn.footprints.radii, [3.718], rtol=1e-3)
 
     def test_nothing_under_the_threshold(self) -> None:
-        drawn = rasterize(*one_gaussian().values(), straight_camera(16, 16, focal=20.0))
+        drawn = rasterize_gaussians(*one_gaussian().values(), straight_camera(16, 16, focal=20.0))
         # the centre is (8, 8): 3.5 columns aside alpha is 0.0058, 4.5 aside 0.0003
         opacity = drawn.opacity[8]
         assert (opacity[4:12] > 1 / 255).all()
@@ -149,7 +149,7 @@ class TestByHand:
         )
         both = [torch.cat([far[name], near[name]]) for name in PARAMETERS]
         background = torch.tensor([0.0, 0.5, 1.0])
-        drawn = rasterize(*both, straight_camera(5, 7, focal=20.0), background)
+        drawn = rasterize_gaussians(*both, straight_camera(5, 7, focal=20.0), background)
         front, back = 0.5 + SH_C0 * np.array([0.5, 0.0, -0.5]), 0.5 + SH_C0
         weights = 0.6, 0.4 * 0.8
         expected = weights[0] * front + weights[1] * back + 0.4 * 0.2 * np.array([0, 0.5, 1])
@@ -165,13 +165,13 @@ class TestByHand:
             both = [torch.cat([first[name], second[name]]) for name in PARAMETERS]
             colours = 0.5 + SH_C0 * both[4][:, 0]
             expected = 0.8 * colours[0] + 0.2 * 0.8 * colours[1]
-            torch.testing.assert_close(rasterize(*both, camera).rgb[2, 3], expected)
+            torch.testing.assert_close(rasterize_gaussians(*both, camera).rgb[2, 3], expected)
 
     def test_pixel_is_finished_before_the_gaussian_that_would_close_it(self) -> None:
         stack = {name: torch.cat([value] * 3) for name, value in one_gaussian().items()}
         stack["opacities"] = torch.ones(3)
         stack["means"] = torch.tensor([[0, 0, 2.0], [0, 0, 2.1], [0, 0, 2.2]])
-        drawn = rasterize(*stack.values(), straight_camera(5, 7, focal=20.0))
+        drawn = rasterize_gaussians(*stack.values(), straight_camera(5, 7, focal=20.0))
         # The second would leave 0.01 * 0.01, which is not over the threshold in float32.
         assert np.float32(1 - ALPHA_CAP) ** 2 <= TRANSMITTANCE_THRESHOLD * (1 + 1e-6)
         np.testing.assert_allclose(drawn.opacity[2, 3], ALPHA_CAP, rtol=1e-6)
@@ -181,7 +181,7 @@ class TestByHand:
         sh = torch.zeros(1, 4, 3)
         sh[0, 1, 0], sh[0, 2, 1], sh[0, 3, 2] = 0.3, 0.3, -0.3
         gaussians = one_gaussian(means=[[1.0, -2.0, 2.0]]) | {"sh": sh}
-        drawn = rasterize(*gaussians.values(), straight_camera(60, 60, focal=20.0))
+        drawn = rasterize_gaussians(*gaussians.values(), straight_camera(60, 60, focal=20.0))
         # The unit ray is (1, -2, 2) / 3; the basis is C1 * (-y, z, -x).
         expected = 0.5 + 0.4886025119029199 * 0.3 * np.array([2, 2, 1]) / 3
         row, column = 30 - 20, 30 + 10
@@ -194,11 +194,11 @@ class TestByHand:
         gaussians = random_gaussians(rng, camera, 60)
         with torch.no_grad():
             weights = blending_weights(*[gaussians[name] for name in PARAMETERS[:4]], camera)
-        opacity = rasterize(*gaussians.values(), camera).opacity
+        opacity = rasterize_gaussians(*gaussians.values(), camera).opacity
         assert (weights >= 0).all()
         torch.testing.assert_close(weights.sum(), opacity.sum())
         alone = blending_weights(*list(one_gaussian().values())[:4], straight_camera())
-        single = rasterize(*one_gaussian().values(), straight_camera()).opacity.sum()
+        single = rasterize_gaussians(*one_gaussian().values(), straight_camera()).opacity.sum()
         torch.testing.assert_close(alone, single[None])
 
 
@@ -264,7 +264,7 @@ class TestAgainstTwin:
         background = torch.tensor([0.1, 0.2, 0.3])
         gaussians = one_gaussian(means=[[0.0, 0.0, -2.0]])
         check_against_twin(gaussians, straight_camera(), background)
-        drawn = rasterize(*gaussians.values(), straight_camera(), background)
+        drawn = rasterize_gaussians(*gaussians.values(), straight_camera(), background)
         assert (drawn.rgb == background).all()
         assert not drawn.opacity.any()
         assert not drawn.footprints.radii.any()
@@ -281,7 +281,7 @@ class TestAgainstTwin:
             name: torch.cat([wall[name]] * 3 + [hidden[name]]).requires_grad_()
             for name in PARAMETERS
         }
-        drawn = rasterize(*scene.values(), straight_camera())
+        drawn = rasterize_gaussians(*scene.values(), straight_camera())
         (drawn.rgb.sum() + drawn.depth.sum()).backward()
         assert scene["sh"].grad[0].any()
         assert not any(scene[name].grad[-1].any() for name in PARAMETERS)
@@ -292,7 +292,7 @@ class TestGolden:
         golden = dict(np.load(GOLDEN))
         camera = Camera(golden["K"], golden["world_from_camera"], *golden["depth"].shape)
         leaves = [torch.from_numpy(golden[name]).requires_grad_() for name in PARAMETERS]
-        drawn = rasterize(*leaves, camera, torch.from_numpy(golden["background"]))
+        drawn = rasterize_gaussians(*leaves, camera, torch.from_numpy(golden["background"]))
         for picture, name in zip(drawn[:3], ("rgb", "depth", "opacity"), strict=True):
             np.testing.assert_allclose(picture.detach(), golden[name], atol=1e-5, err_msg=name)
         (drawn.rgb * torch.from_numpy(golden["by_rgb"])).sum().backward()
@@ -309,7 +309,9 @@ class TestDeterminism:
         gaussians = random_gaussians(rng, camera, 400)
         with monkeypatch.context() as patch:
             patch.setattr(numba, "get_num_threads", lambda: chunks)
-            pictures, grads, radii = draw_and_differentiate(rasterize, gaussians, camera, None)
+            pictures, grads, radii = draw_and_differentiate(
+                rasterize_gaussians, gaussians, camera, None
+            )
         tensors = [*pictures, radii, *grads.values()]
         return tensors, [tensor.numpy().tobytes() for tensor in tensors]
 
@@ -333,8 +335,8 @@ class TestDeterminism:
         gaussians = random_gaussians(rng, camera, 50)
         shuffle = torch.from_numpy(rng.permutation(50))
         shuffled = {name: value[shuffle] for name, value in gaussians.items()}
-        pictures, grads, _ = draw_and_differentiate(rasterize, gaussians, camera, None)
-        others, other_grads, _ = draw_and_differentiate(rasterize, shuffled, camera, None)
+        pictures, grads, _ = draw_and_differentiate(rasterize_gaussians, gaussians, camera, None)
+        others, other_grads, _ = draw_and_differentiate(rasterize_gaussians, shuffled, camera, None)
         assert all(torch.equal(a, b) for a, b in zip(pictures, others, strict=True))
         assert all(torch.equal(grads[name][shuffle], other_grads[name]) for name in PARAMETERS)
 
@@ -354,25 +356,25 @@ class TestInput:
         gaussians = random_gaussians(rng, camera, 20)
         broken = {name: torch.cat([value, value[:5]]) for name, value in gaussians.items()}
         broken[name].view(25, -1)[20:, 0] = bad
-        pictures, _, _ = draw_and_differentiate(rasterize, gaussians, camera, None)
-        others, grads, radii = draw_and_differentiate(rasterize, broken, camera, None)
+        pictures, _, _ = draw_and_differentiate(rasterize_gaussians, gaussians, camera, None)
+        others, grads, radii = draw_and_differentiate(rasterize_gaussians, broken, camera, None)
         assert all(torch.equal(a, b) for a, b in zip(pictures, others, strict=True))
         assert not radii[20:].any()
         assert not any(grads[name][20:].any() for name in PARAMETERS)
 
     def test_zero_quaternion_is_not_drawn(self) -> None:
-        drawn = rasterize(*one_gaussian(quats=[[0.0] * 4]).values(), straight_camera())
+        drawn = rasterize_gaussians(*one_gaussian(quats=[[0.0] * 4]).values(), straight_camera())
         assert not drawn.opacity.any()
 
     def test_number_type_comes_back(self) -> None:
         leaves = [value.double().requires_grad_() for value in one_gaussian().values()]
-        rasterize(*leaves, straight_camera()).rgb.sum().backward()
+        rasterize_gaussians(*leaves, straight_camera()).rgb.sum().backward()
         assert all(leaf.grad.dtype == torch.float64 for leaf in leaves)
 
     @pytest.mark.parametrize("change", ["means", "rgb"])
     def test_what_backward_needs_must_not_change(self, change: str) -> None:
         gaussians = {name: value.requires_grad_() for name, value in one_gaussian().items()}
-        drawn = rasterize(*gaussians.values(), straight_camera())
+        drawn = rasterize_gaussians(*gaussians.values(), straight_camera())
         loss = drawn.rgb.sum() + drawn.depth.sum()
         with torch.no_grad():
             (drawn.rgb if change == "rgb" else gaussians["means"]).add_(0.1)
@@ -385,7 +387,8 @@ class TestInput:
         gaussians = random_gaussians(rng, camera, 30)
         strided = [torch.stack([value, value], -1)[..., 0] for value in gaussians.values()]
         assert torch.equal(
-            rasterize(*strided, camera).rgb, rasterize(*gaussians.values(), camera).rgb
+            rasterize_gaussians(*strided, camera).rgb,
+            rasterize_gaussians(*gaussians.values(), camera).rgb,
         )
 
     @pytest.mark.parametrize(
@@ -400,13 +403,13 @@ class TestInput:
     )
     def test_refuses_shapes_that_do_not_pair_up(self, changes: dict, sentence: str) -> None:
         with pytest.raises(GeoEvsError, match=sentence):
-            rasterize(*one_gaussian(**changes).values(), straight_camera())
+            rasterize_gaussians(*one_gaussian(**changes).values(), straight_camera())
 
     def test_refuses_tensors_on_two_devices(self) -> None:
         gaussians = one_gaussian()
         gaussians["scales"] = gaussians["scales"].to("meta")
         with pytest.raises(GeoEvsError, match="scales is on meta but means on cpu"):
-            rasterize(*gaussians.values(), straight_camera())
+            rasterize_gaussians(*gaussians.values(), straight_camera())
 
 
 class TestGsplatBackend:
@@ -426,7 +429,7 @@ class TestGsplatBackend:
             pose = torch.linalg.inv(viewmats[0]).double().numpy()
             camera = Camera(Ks[0].double().numpy(), pose, height, width)
             means2d = torch.zeros(1, len(means), 2, requires_grad=True) * 1
-            drawn = rasterize(
+            drawn = rasterize_gaussians(
                 means, quats, scales, opacities, colors, camera, how["backgrounds"][0]
             )
             rgb = drawn.rgb + 3 * means2d.sum()
@@ -439,7 +442,7 @@ class TestGsplatBackend:
         )
         gaussians, background = one_gaussian(), torch.tensor([0.1, 0.2, 0.3])
         camera = straight_camera()
-        ours = rasterize(*gaussians.values(), camera, background)
+        ours = rasterize_gaussians(*gaussians.values(), camera, background)
         theirs = rasterize_gsplat(*gaussians.values(), camera, background)
         for found, expected in zip(theirs[:3], ours[:3], strict=True):
             torch.testing.assert_close(found, expected)

@@ -15,7 +15,7 @@ from baselines.gaussians.model import gaussians_from_points
 from baselines.gaussians.nodes import Background, SceneGraph, Sky
 from baselines.gaussians.size import HELD_OUT, SizeChoice, held_out, psnr
 from baselines.gaussians.training import Trainer, make_strategy, photos_of, train
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 ASIDE = [(0.0, 0.25 * frame, 1.6) for frame in range(HELD_OUT)]
 STEPS = 120

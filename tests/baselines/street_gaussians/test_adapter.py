@@ -5,9 +5,11 @@ import pytest
 import torch
 
 from baselines.street_gaussians import losses
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.adapter_check import contract_failures
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
 from geoevs.scenes import tiny as room
 
 STEP = -0.9  # metres along y a frame

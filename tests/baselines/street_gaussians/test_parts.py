@@ -8,8 +8,8 @@ import torch
 
 from baselines.street_gaussians.actors import Track, outside_all
 from baselines.street_gaussians.losses import depth_loss, entropy_loss, sky_loss
+from geoevs.methods.tiny import tiny_camera
 from geoevs.scenes.boxes import Box
-from geoevs.scenes.tiny import tiny_camera
 
 # Turned a quarter to the left: its length lies along y.
 TRACK = Track(

@@ -5,10 +5,12 @@ import pytest
 
 from baselines.gaussians import size
 from baselines.gaussians.options import FEWEST, STRATEGIES
-from geoevs.adapter import Budget, Rng, Views, make_method
-from geoevs.adapter_check import contract_failures
-from geoevs.errors import GeoEvsError
-from geoevs.scenes.tiny import write_tiny_scene
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.randomness import Rng
+from geoevs.methods.check import contract_failures
+from geoevs.methods.contract import Budget, Views
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import write_tiny_scene
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
-from geoevs.io import write_text
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_text
 from geoevs.protocol.targets import read_targets
 from geoevs.results.report import page
 from geoevs.results.report.page import _exhibits, chart_of, make_page, table_html

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from geoevs.io import write_text
+from geoevs.core.files import write_text
 from geoevs.results.audit import AGREEMENT_COLUMNS
 from geoevs.results.report.suites import summarise_suites
 

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.results.why import explain
-from geoevs.results.why_found import Cell
+from geoevs.results.why_lookup import Cell
 
 
 def test_a_cell_leads_to_rows_pictures_config_and_command(reported):

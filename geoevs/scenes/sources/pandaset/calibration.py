@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_json
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json
 from geoevs.scenes.camera import Camera
 
 # PandaSet's K is OpenCV's, which counts a pixel's centre as integer; ours is at +0.5.

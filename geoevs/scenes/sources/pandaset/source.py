@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geoevs.errors import GeoEvsError
-from geoevs.io import read_image
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_image
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import (
     Frame,

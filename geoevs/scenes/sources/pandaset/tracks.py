@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.scene import TRACK_COLUMNS
 from geoevs.scenes.sources.pandaset.unpickle import read_table
 

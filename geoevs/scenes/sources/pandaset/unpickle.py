@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoevs.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError
 
 # The largest real table is 8 MB; a small file that swells past this is made to exhaust memory.
 MAX_BYTES = 512 * 2**20

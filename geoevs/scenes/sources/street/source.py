@@ -1,11 +1,11 @@
 """The `street` data source: procedural streets with dense truth at any pose and instant."""
 
-import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from geoevs.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.randomness import keyed_rng
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, SceneInfo, SceneRecord, SceneRef, Truth
 from geoevs.scenes.sources.street.buildings import add_buildings
@@ -25,12 +25,6 @@ KEPT_INSTANTS = 8  # about 40 MB each
 INTERVAL = 0.1  # seconds between frames
 LONGEST = 6.0  # seconds, after which the ego would come near the end of its street
 FASTEST = 40.0  # m/s
-
-
-def keyed_rng(*key: object) -> np.random.Generator:
-    """A generator that depends on the whole key and on nothing else."""
-    digest = hashlib.sha256("/".join(map(str, key)).encode()).digest()
-    return np.random.default_rng(np.frombuffer(digest, np.uint32))
 
 
 class World:

@@ -1,0 +1,174 @@
+"""Training FreeVS: denoise clips of recorded views from their pseudo-images."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from baselines.freevs.clips import SHIFTS, Clips
+from baselines.freevs.denoiser import ClipDenoiser, Preconditioning
+from baselines.freevs.encoder import filled_latents
+from baselines.freevs.model import ClipGenerator, Sampling
+from geoevs.core.networks import best_device, mixed_precision, seeded
+from geoevs.core.optimising import Optimisation, fingerprint, optimise
+from geoevs.core.randomness import Rng
+from geoevs.diffusion.autoencoder import Autoencoder, to_tensor
+from geoevs.diffusion.latents import encode_in_parts
+from geoevs.diffusion.prior import Prior, load_prior
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """A training of FreeVS, as the config's `freevs` section names it.
+
+    Args:
+        prior: the weights to start from (see `load_prior`).
+        frames: of a clip.
+        steps, batch, learning_rate: of the optimiser; a batch is of clips.
+        drop: share of clips without their conditions.
+        simulated: share of clips shown by points of frames 4 earlier or later.
+        noise: `mean` and `std` of the noise's log standard deviation in training.
+        sampling: fields of Sampling, what renders use unless they ask for another.
+    """
+
+    prior: str
+    frames: int
+    steps: int
+    batch: int
+    learning_rate: float
+    drop: float
+    simulated: float
+    noise: dict[str, float]
+    sampling: dict[str, Any]
+
+
+def train_freevs(
+    settings: TrainingSettings,
+    clips: Clips,
+    weights: Path,
+    seed: int,
+    work: Path,
+    report: Callable[[float], None],
+) -> ClipGenerator:
+    """Train the networks.
+
+    Args:
+        settings: how.
+        clips: on what.
+        weights: the folder of this suite's pretrained weights.
+        seed: decides first weights and every batch.
+        work: the training's own folder (see `optimise`).
+        report: called after every step with its loss.
+
+    Raises:
+        GeoEvsError: the prior is not on the machine, no scene is as long as a clip, the images do
+            not divide into latents, or the training diverged.
+    """
+    began = time.monotonic()
+    prior = load_prior(settings.prior, weights)
+    prior.autoencoder.to(best_device())
+    task = FreeVSTask(prior, clips, settings, seed)
+    optimisation = Optimisation(settings.steps, settings.learning_rate)
+    model = optimise(task, optimisation, seed, "freevs", work, report, began)
+    return ClipGenerator(prior.autoencoder, model)
+
+
+class FreeVSTask:
+    """Denoise latents of clips, some of them shown by other frames' points or by none.
+
+    Args:
+        prior: the weights to start from; its denoiser is widened and trained, the rest is frozen.
+        clips: the training set.
+        settings: those of the prior and the optimiser do not count here.
+        seed: of new layers' first weights.
+
+    Raises:
+        GeoEvsError: no scene is as long as a clip, the sampling is none, or the images do not
+            divide into latents.
+    """
+
+    def __init__(self, prior: Prior, clips: Clips, settings: TrainingSettings, seed: int) -> None:
+        self._autoencoder = prior.autoencoder.requires_grad_(False)
+        self._clips, self._settings = clips, settings
+        self._sampling = Sampling(**settings.sampling)
+        self._starts = clips.starts(settings.frames)
+        target = clips.target[:, None]
+        self._latents = _encode(self._autoencoder, target, np.ones(target.shape[:-1], bool))[:, 0]
+        self._filled = _encode(self._autoencoder, clips.rgb, clips.valid)
+        spread = float((self._latents[:, None] - self._filled).std())
+        with seeded(seed, "freevs"):
+            made = ClipDenoiser.from_prior(prior, settings.frames, spread)
+        self.model = made.to(self._latents.device)
+        data = clips.rgb, clips.valid, self._latents
+        self.identity = fingerprint(asdict(settings), asdict(prior.diffusion), *data)
+
+    def batch(self, rng: Rng) -> list[str]:
+        """The first views of the clips that one batch holds, as scene/camera/frame."""
+        clips = self._clips
+        return [f"{clips.scene[n]}/{clips.camera[n]}/{clips.frame[n]}" for n in self._pick(rng)]
+
+    def _pick(self, rng: Rng) -> np.ndarray:
+        return rng.numpy.choice(self._starts, self._settings.batch)
+
+    def losses(self, rng: Rng) -> dict[str, Tensor]:
+        """EDM's loss of one batch: squared errors of the network's own target."""
+        settings, device = self._settings, self._latents.device
+        frames, picked = settings.frames, self._pick(rng)
+        count = len(picked)
+        dropped = rng.numpy.random(count) < settings.drop
+        other = rng.numpy.integers(1, len(SHIFTS), size=count)
+        shown = np.where(rng.numpy.random(count) < settings.simulated, other, 0).repeat(frames)
+        views = (picked[:, None] + np.arange(frames)).ravel()
+        exponent = torch.randn(count, generator=rng.torch) * settings.noise["std"]
+        sigma = (settings.noise["mean"] + exponent).exp().repeat_interleave(frames).to(device)
+        clean = self._latents[views]
+        noise = torch.randn(clean.shape, generator=rng.torch).to(device)
+        valid = torch.from_numpy(self._clips.valid[views, shown][:, None]).to(device)
+        images = to_tensor(self._clips.rgb[views, shown]).to(device)
+        kept = torch.from_numpy(~dropped.repeat(frames)).to(device)[:, None, None, None]
+        with mixed_precision(device):
+            condition = self._filled[views, shown] + self.model.encoder(images, valid).float()
+            noisy = clean + sigma[:, None, None, None] * noise
+            predicted = self.model(noisy, sigma, condition * kept)
+        weight = Preconditioning.at(sigma, self.model.spread).weight
+        loss = (weight * (predicted - clean).square()).mean()
+        return {"loss": loss, "condition": (condition.detach() - clean).square().mean()}
+
+    @torch.inference_mode()
+    def preview(self, model: nn.Module) -> np.ndarray:
+        """Clips' middle views: pseudo-image, sample, the same by other frames' points, target."""
+        frames = self._settings.frames
+        picked = self._starts[np.linspace(0, len(self._starts) - 1, 6).astype(int)]
+        views = (picked[:, None] + np.arange(frames)).ravel()
+        generator = ClipGenerator(self._autoencoder, model)
+        middle = views[generator.middle :: frames]
+        columns = []
+        for shown in (0, len(SHIFTS) - 1):
+            images = self._clips.rgb[views, shown].astype(np.float32) / 255
+            random = torch.Generator().manual_seed(0)
+            valid = self._clips.valid[views, shown]
+            samples = generator.generate(images, valid, self._sampling, random)
+            columns += [images[generator.middle :: frames], samples]
+        columns.append(self._clips.target[middle].astype(np.float32) / 255)
+        return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
+
+
+def _encode(
+    autoencoder: Autoencoder,
+    images: np.ndarray,  # [N, K, H, W, 3] uint8
+    valid: np.ndarray,  # [N, K, H, W] bool
+) -> Tensor:
+    """[N, K, L, h, w] latents of filled images, once: they are the same at every step."""
+    device = next(autoencoder.parameters()).device
+    flat, masks = images.reshape(-1, *images.shape[2:]), valid.reshape(-1, *valid.shape[2:])
+
+    def encode(part: slice) -> Tensor:
+        shown = to_tensor(flat[part]).to(device)
+        return filled_latents(autoencoder, shown, torch.from_numpy(masks[part])[:, None].to(device))
+
+    return encode_in_parts(encode, len(flat), device).unflatten(0, valid.shape[:2])

@@ -1,0 +1,1 @@
+"""Foundations that know nothing of scenes: errors, files, randomness, plugins, networks."""

@@ -1,0 +1,98 @@
+"""Networks: weights on disk, the device and precision they run in, their first weights."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+from safetensors import safe_open
+from torch import Tensor, nn
+
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import whole_file, write_bytes
+from geoevs.core.randomness import Rng
+
+
+def save_network(
+    path: Path, model: nn.Module, settings: dict[str, Any], dtype: torch.dtype = torch.float32
+) -> None:
+    """Write a network's weights, and what it was made with, whole or not at all.
+
+    Args:
+        path: the .safetensors file.
+        model: on any device.
+        settings: JSON-able; `read_network` gives it back.
+        dtype: what floating-point weights are stored as; float16 halves the file.
+    """
+    weights = {}
+    for name, value in model.state_dict().items():
+        value = value.detach().cpu().contiguous()
+        weights[name] = value.to(dtype) if value.is_floating_point() else value
+    write_bytes(path, safetensors.torch.save(weights, {"settings": json.dumps(settings)}))
+
+
+def read_network(path: Path) -> tuple[dict[str, Any] | None, dict[str, Tensor]]:
+    """Settings (None in files of others) and weights of a .safetensors file, on the CPU.
+
+    Raises:
+        GeoEvsError: the file is missing or damaged.
+    """
+    with whole_file(path), safe_open(path, "pt") as file:
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        return json.loads((file.metadata() or {}).get("settings", "null")), weights
+
+
+def best_device() -> str:
+    """The GPU if there is one."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advice: str) -> None:
+    """Put weights into a network, in float32 and exactly.
+
+    Args:
+        model: may lie on the meta device; its parameters are replaced.
+        weights: by name.
+        path: where they were read, for errors.
+        advice: what to do about a mistake, the end of its sentence.
+
+    Raises:
+        GeoEvsError: a weight is missing, unknown or of another shape; the first one is named.
+    """
+    wanted = model.state_dict()
+    for name, value in wanted.items():
+        if name not in weights:
+            raise GeoEvsError(f"{path} lacks '{name}'; {advice}")
+        if weights[name].shape != value.shape:
+            raise GeoEvsError(
+                f"{path} has '{name}' of shape {tuple(weights[name].shape)} where this network's "
+                f"is {tuple(value.shape)}; {advice}"
+            )
+    for name in weights:
+        if name not in wanted:
+            raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")
+    # Copied, because kernels round by their operands' alignment, which in a file is any.
+    copied = {
+        name: value.to(torch.float32 if value.is_floating_point() else value.dtype, copy=True)
+        for name, value in weights.items()
+    }
+    model.load_state_dict(copied, assign=True)
+
+
+@contextmanager
+def seeded(seed: int, *key: str) -> Iterator[None]:
+    """Let torch's global generator, which fills new networks, be a function of seed and key."""
+    with torch.random.fork_rng(devices=()):
+        torch.manual_seed(int(Rng(seed, *key, "weights").numpy.integers(2**62)))
+        yield
+
+
+@contextmanager
+def mixed_precision(device: torch.device) -> Iterator[None]:
+    """Autocast to bfloat16 where the device computes it faster than float32."""
+    fast = device.type == "cuda" or torch.cpu.get_capabilities().get("avx512_bf16", False)
+    with torch.autocast(device.type, torch.bfloat16, enabled=fast):
+        yield

@@ -1,0 +1,249 @@
+"""Options and settings, checked by their annotations before anything runs.
+
+A method's options are its constructor's arguments, a training's settings a dataclass. Both say what
+they take where they are declared, and nowhere else:
+
+    samples: Annotated[int, Within(1, 400)] = 25
+    sampler: Annotated[str, OneOf(SAMPLERS)] | None = None
+"""
+
+import dataclasses
+import inspect
+import math
+import types
+import typing
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from geoevs.core.errors import GeoEvsError, did_you_mean
+
+Settings = TypeVar("Settings")
+
+
+class SettingError(GeoEvsError):
+    """A mistake in one value; `key` says where, below what was checked."""
+
+    def __init__(self, key: tuple[str, ...], sentence: str) -> None:
+        super().__init__(sentence)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class AtLeast:
+    """A number that is `low` or more."""
+
+    low: float
+
+    def mistake(self, value: float) -> str:
+        """What is wrong with a number, or nothing."""
+        return "" if value >= self.low else f"make it {self.low:g} or more"
+
+
+@dataclass(frozen=True)
+class Above:
+    """A number that is more than `low`."""
+
+    low: float
+
+    def mistake(self, value: float) -> str:
+        """What is wrong with a number, or nothing."""
+        return "" if value > self.low else f"make it more than {self.low:g}"
+
+
+@dataclass(frozen=True)
+class Within:
+    """A number from `low` to `high`, both included."""
+
+    low: float
+    high: float
+
+    def mistake(self, value: float) -> str:
+        """What is wrong with a number, or nothing."""
+        inside = self.low <= value <= self.high
+        return "" if inside else f"choose from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of some words."""
+
+    words: Collection[str]
+
+    def mistake(self, value: str) -> str:
+        """What is wrong with a word, or nothing."""
+        return "" if value in self.words else did_you_mean(value, self.words)
+
+
+Count = Annotated[int, AtLeast(1)]
+"""A number of things, at least one."""
+
+Share = Annotated[float, Within(0, 1)]
+"""A part of a whole."""
+
+Positive = Annotated[float, Above(0)]
+"""A number above zero, such as a learning rate."""
+
+PLAIN = {
+    bool: "true or false",
+    int: "a whole number, such as 8",
+    float: "a number, such as 0.5 or 1.0e-3",
+    str: "text, in quotes if it looks like something else",
+    Path: "a path, in quotes if it looks like something else",
+}
+"""What a value of each plain type looks like in YAML."""
+
+
+def check_options(
+    who: str, factory: Callable, options: Mapping[str, Any], positional: int = 0
+) -> None:
+    """Check that `options` are what `factory` takes, besides its first `positional` arguments.
+
+    Args:
+        who: has them, such as `method 'emernerf'`, for errors.
+        factory: a class or function; an annotation that is a string is taken at its word.
+        options: by name.
+        positional: how many of its arguments are no options.
+
+    Raises:
+        SettingError: an option that it does not take (the sentence names the nearest one), one of
+            another type or value, or one that it needs is missing.
+    """
+    taken = list(inspect.signature(factory).parameters.values())[positional:]
+    _check_names(who, [option.name for option in taken], options)
+    for option in taken:
+        if option.name in options:
+            _check_value(who, (option.name,), options[option.name], option.annotation)
+        elif option.default is option.empty:
+            raise SettingError((), f"{who} needs the option '{option.name}'; set it in its options")
+
+
+def make_settings(who: str, kind: type[Settings], values: Mapping[str, Any]) -> Settings:
+    """A dataclass of settings from a section of the config; what that leaves out has its default.
+
+    Args:
+        who: has them, for errors.
+        kind: a dataclass whose fields all have a type and a default; fields may be such dataclasses
+            themselves.
+        values: by name, sections within it as mappings.
+
+    Raises:
+        SettingError: a name that is no field, or a value of another type or beyond its bounds.
+        GeoEvsError: the dataclass itself refuses the values together.
+    """
+    _check_section(who, (), values, kind)
+    return _filled(kind(), values)
+
+
+def check_settings_class(kind: type, where: str) -> None:
+    """Check that a class can be a section of the config.
+
+    Args:
+        kind: the class.
+        where: it stands, for errors.
+
+    Raises:
+        GeoEvsError: it is no dataclass, or a field has no type that can be checked or no default.
+    """
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        raise GeoEvsError(f"{where} has no dataclass Settings; write one, its fields the settings")
+    for field in dataclasses.fields(kind):
+        if field.default is field.default_factory is dataclasses.MISSING:
+            raise GeoEvsError(f"{where}: the setting '{field.name}' has no default; give it one")
+        if isinstance(field.type, str) or field.type is Any:
+            raise GeoEvsError(
+                f"{where}: the setting '{field.name}' has no type that can be checked; write one "
+                "such as int, without quotes"
+            )
+
+
+def _check_section(who: str, key: tuple[str, ...], values: Mapping[str, Any], kind: type) -> None:
+    types_of = {field.name: field.type for field in dataclasses.fields(kind)}
+    _check_names(who, list(types_of), values, key)
+    for name, value in values.items():
+        _check_value(who, (*key, name), value, types_of[name])
+
+
+def _check_names(
+    who: str, names: Sequence[str], values: Mapping[str, Any], key: tuple[str, ...] = ()
+) -> None:
+    for name in values:
+        if name not in names:
+            hint = did_you_mean(str(name), names) if names else "it has none"
+            raise SettingError((*key, name), f"{who} has no option '{name}'; {hint}")
+
+
+def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) -> None:
+    if dataclasses.is_dataclass(annotation) and isinstance(value, Mapping):
+        _check_section(who, key, value, annotation)
+        return
+    if mistake := _mistake(value, annotation):
+        shown = "null" if value is None else repr(value)
+        raise SettingError(
+            key, f"{who} cannot have {shown} for its option '{'.'.join(key)}'; {mistake}"
+        )
+
+
+def _mistake(value: Any, annotation: Any) -> str:
+    """What to write in place of a value that is none of a type's; nothing for one that is."""
+    origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        bounds = [bound for bound in parts[1:] if hasattr(bound, "mistake")]
+        reasons = (bound.mistake(value) for bound in bounds)
+        return _mistake(value, parts[0]) or next(filter(None, reasons), "")
+    if origin is Literal:
+        return "" if value in parts else did_you_mean(str(value), map(str, parts))
+    if origin in (typing.Union, types.UnionType):
+        reasons = [_mistake(value, part) for part in parts if part is not type(None)]
+        nothing = "" if value is None and type(None) in parts else "no"
+        return "" if not nothing or "" in reasons else " or ".join(dict.fromkeys(reasons))
+    if annotation in PLAIN:
+        return "" if _is_plain(value, annotation) else f"write {PLAIN[annotation]}"
+    if dataclasses.is_dataclass(annotation):
+        return "write its settings as NAME: VALUE, indented under it"
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return _mapping_mistake(value, parts)
+    if isinstance(origin, type) and issubclass(origin, Collection):
+        return _list_mistake(value, origin, parts)
+    return ""
+
+
+def _is_plain(value: Any, kind: type) -> bool:
+    if kind is Path:
+        return isinstance(value, (str, Path))
+    if kind is float:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and math.isfinite(value)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, kind)
+
+
+def _list_mistake(value: Any, origin: type, parts: tuple[Any, ...]) -> str:
+    if isinstance(value, (str, Mapping)) or not isinstance(value, Collection):
+        return "write a list, such as [1, 2]"
+    fixed = origin is tuple and parts[-1:] != (...,)
+    if fixed and len(value) != len(parts):
+        return f"write a list of {len(parts)}"
+    kinds = parts if fixed else parts[:1] * len(value)
+    reasons = (_mistake(item, kind) for item, kind in zip(value, kinds, strict=True))
+    reason = next(filter(None, reasons), "")
+    return f"of each in the list: {reason}" if reason else ""
+
+
+def _mapping_mistake(value: Any, parts: tuple[Any, ...]) -> str:
+    if not isinstance(value, Mapping):
+        return "write it as NAME: VALUE, indented under it"
+    reasons = (_mistake(item, parts[1]) for item in value.values())
+    return next(filter(None, reasons), "")
+
+
+def _filled(settings: Settings, values: Mapping[str, Any]) -> Settings:
+    """Settings with some values in place of their own, sections within them likewise."""
+    changes = {}
+    for name, value in values.items():
+        now = getattr(settings, name)
+        whole = not (dataclasses.is_dataclass(now) and isinstance(value, Mapping))
+        changes[name] = value if whole else _filled(now, value)
+    return dataclasses.replace(settings, **changes)

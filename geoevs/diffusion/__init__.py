@@ -1,0 +1,1 @@
+"""Parts of latent diffusion that methods share: autoencoder, denoiser, prior, sampling."""

@@ -1,0 +1,377 @@
+"""The adapter contract as named checks, run on a tiny scene in a folder of their own."""
+
+import ast
+import contextlib
+import importlib
+import os
+import shutil
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.randomness import Rng
+from geoevs.methods.contract import (
+    NEEDS,
+    Adapter,
+    Budget,
+    FitReport,
+    MaskedAdapter,
+    MethodInfo,
+    Rendering,
+    Views,
+)
+from geoevs.methods.finding import make_method
+from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
+from geoevs.scenes.camera import Camera
+
+# Where the checks render: what an `external` method must hold images of.
+FRAME = 1
+SOURCE = "front"
+VIRTUAL = tiny_camera("virtual", 22.5, MOUNT + np.array([0.5, 1.0, 0.0]))
+
+# What a masked view keeps of its condition map: all but a block in the middle.
+KEEP = np.ones((HEIGHT, WIDTH), bool)
+KEEP[HEIGHT // 4 : -HEIGHT // 4, WIDTH // 4 : -WIDTH // 4] = False
+
+# Views can tell when these are read; what else a method declares is taken at its word.
+WATCHED_NEEDS = ("lidar", "tracks")
+
+# A method that reads these could see its answers.
+HIDDEN_PACKAGES = ("geoevs.protocol", "geoevs.results")
+
+# What Python and Numba themselves write beside the code.
+UNWATCHED_FOLDERS = ("__pycache__",)
+
+
+@dataclass(frozen=True)
+class Check:
+    """What came of one check.
+
+    Args:
+        name: what was checked.
+        status: `passed`, `failed`, `warned` or `skipped`.
+        sentence: why it did not pass.
+        traceback: of the method's own exception, where it raised one.
+    """
+
+    name: str
+    status: str
+    sentence: str = ""
+    traceback: str = ""
+
+
+class BrokenContractError(Exception):
+    """The sentence of a failed check."""
+
+
+class WatchedViews(Views):
+    """Views that remember which needs were read, and which were refused."""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)
+        self.used: set[str] = set()
+        self.refused: set[str] = set()
+
+    def _require(self, need: str) -> None:
+        try:
+            super()._require(need)
+        except GeoEvsError:
+            self.refused.add(need)
+            raise
+        self.used.add(need)
+
+
+class Trial:
+    """One method on the tiny scene, with what the checks learn of it on their way."""
+
+    def __init__(self, name: str, options: dict, folder: Path) -> None:
+        self.name, self.options, self.folder = name, options, folder
+        self.scene = write_tiny_scene(folder / "scene")
+        self.source = self.scene.camera(SOURCE, FRAME)
+        self.before = _watched_files(folder)
+        self.method = make_method(name, options)
+        self.views: WatchedViews | None = None
+        self.fitted = False
+        self.rendered: dict[str, Rendering] = {}
+
+    def fit(self, method: Adapter) -> FitReport:
+        """Fit to the tiny scene, with the same randomness each time."""
+        self.views = WatchedViews(self.scene, self.scene.cameras, method.info.needs)
+        return method.fit(self.views, Budget(), Rng(0, "check-adapter"))
+
+    def render(self, camera: Camera) -> Rendering:
+        """The first fit's rendering of a camera, made once."""
+        if camera.name not in self.rendered:
+            self.rendered[camera.name] = self.method.render(camera, FRAME)
+        return self.rendered[camera.name]
+
+    def render_masked(self) -> Rendering | None:
+        """The first fit's masked view, made once, where the method has any."""
+        if isinstance(self.method, MaskedAdapter) and "masked" not in self.rendered:
+            self.rendered["masked"] = self.method.render_masked(VIRTUAL, FRAME, KEEP)
+        return self.rendered.get("masked")
+
+    def difference(self, other: Adapter) -> str:
+        """The first part of these views that another copy of the method renders otherwise."""
+        for camera in (VIRTUAL, self.source):
+            if part := _difference(self.render(camera), other.render(camera, FRAME)):
+                return part
+        if masked := self.render_masked():
+            part = _difference(masked, other.render_masked(VIRTUAL, FRAME, KEEP))
+            return f"{part} of a masked view" if part else ""
+        return ""
+
+
+def check_adapter(name: str, options: dict) -> list[Check]:
+    """Run every check on the method called `name`.
+
+    Raises:
+        GeoEvsError: there is no such method, or an option is wrong.
+    """
+    with tempfile.TemporaryDirectory() as temporary, contextlib.ExitStack() as stack:
+        folder = Path(temporary)
+        (folder / "cwd").mkdir()
+        (folder / "saved").mkdir()
+        stack.enter_context(contextlib.chdir(folder / "cwd"))
+        try:
+            trial = Trial(name, options, folder)
+        except GeoEvsError:
+            raise
+        except Exception as error:
+            return [_failure("import", error)]
+        return [_run(title, check, trial) for title, check in CHECKS.items()]
+
+
+def contract_failures(name: str, **options: object) -> list[str]:
+    """The failed checks of a method, one line each; its test asserts that there are none."""
+    checks = check_adapter(name, options)
+    return [f"{check.name}: {check.sentence}" for check in checks if check.status == "failed"]
+
+
+def _run(title: str, check: Callable[[Trial], str | None], trial: Trial) -> Check:
+    if not trial.fitted and check in AFTER_FIT:
+        return Check(title, "skipped", "fit failed")
+    try:
+        warning = check(trial)
+    except BrokenContractError as broken:
+        return Check(title, "failed", str(broken))
+    except Exception as error:
+        return _failure(title, error)
+    return Check(title, "warned", warning) if warning else Check(title, "passed")
+
+
+def _failure(title: str, error: Exception) -> Check:
+    """A failed check from the method's own exception: what, and the last line of its own code."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if Path(frame.filename).name == "adapter.py"]
+    place = (own or frames)[-1]
+    where = f"{Path(place.filename).parent.name}/{Path(place.filename).name}:{place.lineno}"
+    what = str(error) if isinstance(error, GeoEvsError) else f"{type(error).__name__}: {error}"
+    return Check(
+        title, "failed", f"{what} (at {where})", "".join(traceback.format_exception(error))
+    )
+
+
+def _check_info(trial: Trial) -> None:
+    info = trial.method.info
+    if not isinstance(info, MethodInfo):
+        raise BrokenContractError(f"info is a {type(info).__name__}; make it a MethodInfo")
+    for field in ("name", "paradigm", "extra_prior"):
+        if not str(getattr(info, field)).strip():
+            raise BrokenContractError(f"info.{field} is empty; tables print it, so fill it in")
+    unknown = [need for need in info.needs if need not in NEEDS]
+    if isinstance(info.needs, str) or unknown:
+        raise BrokenContractError(
+            f"info.needs is {info.needs!r}; make it a tuple of {', '.join(NEEDS)}"
+        )
+
+
+def _check_imports(trial: Trial) -> None:
+    folder = Path(importlib.import_module(type(trial.method).__module__).__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            names = [alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")]
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module, *(f"{node.module}.{name}" for name in names)]
+            elif not isinstance(node, ast.Import):
+                continue
+            for name in names:
+                if name.startswith(HIDDEN_PACKAGES):
+                    raise BrokenContractError(
+                        f"{path.name}:{node.lineno} imports {name}; a method must not know how it "
+                        "is scored"
+                    )
+
+
+def _check_fit(trial: Trial) -> None:
+    report = trial.fit(trial.method)
+    if not isinstance(report, FitReport):
+        raise BrokenContractError(f"fit returned a {type(report).__name__}; return a FitReport")
+    trial.fitted = True
+
+
+def _check_source_view(trial: Trial) -> None:
+    _check_rendering(trial.render(trial.source), trial.source)
+
+
+def _check_virtual_view(trial: Trial) -> None:
+    _check_rendering(trial.render(VIRTUAL), VIRTUAL)
+
+
+def _check_masked_view(trial: Trial) -> None:
+    if not isinstance(trial.method, MaskedAdapter):  # it has no condition map
+        return
+    _check_rendering(trial.render_masked(), VIRTUAL)
+    everything = trial.method.render_masked(VIRTUAL, FRAME, np.ones_like(KEEP))
+    difference = _difference(trial.render(VIRTUAL), everything)
+    if difference:
+        raise BrokenContractError(
+            f"render_masked that keeps every pixel gives another {difference} than render; hide "
+            "pixels of the condition map and change nothing else"
+        )
+
+
+def _check_rendering(rendering: Rendering, camera: Camera) -> None:
+    if not isinstance(rendering, Rendering):
+        raise BrokenContractError(f"render returned {type(rendering).__name__}; return a Rendering")
+    shape = camera.height, camera.width
+    rgb = _array("rgb", rendering.rgb, (*shape, 3))
+    if rgb.dtype != np.uint8 and not np.issubdtype(rgb.dtype, np.floating):
+        raise BrokenContractError(f"rgb is {rgb.dtype}; give uint8, or float in [0, 1]")
+    if rgb.dtype != np.uint8 and not (np.isfinite(rgb).all() and 0 <= rgb.min() <= rgb.max() <= 1):
+        raise BrokenContractError(
+            f"rgb spans {rgb.min():g} to {rgb.max():g}; keep it finite and in [0, 1]"
+        )
+    if rendering.depth is not None:
+        depth = _array("depth", rendering.depth, shape)
+        if not (np.isfinite(depth).all() and depth.min() >= 0):
+            raise BrokenContractError("depth is negative or not finite somewhere; write 0 for none")
+    if rendering.support is not None and _array("support", rendering.support, shape).dtype != bool:
+        raise BrokenContractError(f"support is {rendering.support.dtype}; make it bool")
+
+
+def _array(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
+    if not isinstance(value, np.ndarray):
+        raise BrokenContractError(f"{name} is a {type(value).__name__}; make it a NumPy array")
+    if value.shape != shape:
+        raise BrokenContractError(f"{name} has shape {value.shape}; the camera asks for {shape}")
+    return value
+
+
+def _check_needs(trial: Trial) -> str | None:
+    views = trial.views
+    if views is None:
+        raise BrokenContractError("info.needs could not be read")
+    if views.refused:
+        need = sorted(views.refused)[0]
+        raise BrokenContractError(
+            f"the method reads {need} without declaring it; add '{need}' to info.needs"
+        )
+    unused = [n for n in WATCHED_NEEDS if n in trial.method.info.needs and n not in views.used]
+    if trial.rendered and unused:
+        return f"declares {' and '.join(unused)} but did not read it on the tiny scene"
+    return None
+
+
+def _check_determinism(trial: Trial) -> str | None:
+    again = make_method(trial.name, trial.options)
+    trial.fit(again)
+    difference = trial.difference(again)
+    if not difference:
+        return None
+    return _other_bytes(
+        f"two fits with the same rng rendered different {difference}; take all randomness "
+        "from rng.numpy or rng.torch"
+    )
+
+
+def _check_reload(trial: Trial) -> str | None:
+    saved = trial.folder / "saved"
+    for camera in (VIRTUAL, trial.source):
+        trial.render(camera)
+    trial.render_masked()
+    trial.method.save(saved)
+    # The scene may be elsewhere, or gone, when a saved method is loaded.
+    shutil.move(trial.folder / "scene", trial.folder / "scene-moved")
+    try:
+        difference = trial.difference(type(trial.method).load(saved))
+        if not difference:
+            return None
+        return _other_bytes(
+            f"after save and load the {difference} differs; save all that render needs"
+        )
+    finally:
+        shutil.move(trial.folder / "scene-moved", trial.folder / "scene")
+
+
+def _other_bytes(sentence: str) -> str:
+    """A failure, but where a GPU was used only a warning: there sums come in any order."""
+    torch = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_initialized():
+        raise BrokenContractError(sentence)
+    return f"{sentence} (or it is the GPU's order of sums: set CUDA_VISIBLE_DEVICES= to see)"
+
+
+def _difference(first: Rendering, second: Rendering) -> str:
+    """The first part of two renderings that is not the same bit for bit, or nothing."""
+    for part in ("rgb", "depth", "support"):
+        one, other = getattr(first, part), getattr(second, part)
+        if (one is None) != (other is None):
+            return part
+        if one is not None and (one.dtype != other.dtype or not np.array_equal(one, other)):
+            return part
+    return ""
+
+
+def _check_own_folder(trial: Trial) -> None:
+    after = _watched_files(trial.folder)
+    touched = [p for p in {**trial.before, **after} if trial.before.get(p) != after.get(p)]
+    if touched:
+        more = f" and {len(touched) - 1} more" if len(touched) > 1 else ""
+        raise BrokenContractError(
+            f"wrote outside its folder: {sorted(touched)[0]}{more}; write only where save is told"
+        )
+
+
+def _watched_files(folder: Path) -> dict[Path, tuple[int, int]]:
+    """Size and time of every file that a method has no business with."""
+    roots = [folder / "cwd", folder / "scene"]
+    for package in ("geoevs", "baselines"):
+        roots += map(Path, importlib.import_module(package).__path__)
+    return {path: state for root in roots for path, state in _files(root)}
+
+
+def _files(root: Path) -> Iterator[tuple[Path, tuple[int, int]]]:
+    for parent, folders, names in os.walk(root):
+        folders[:] = [n for n in folders if n not in UNWATCHED_FOLDERS and not n.startswith(".")]
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                status = (Path(parent) / name).stat()
+                yield Path(parent) / name, (status.st_size, status.st_mtime_ns)
+
+
+CHECKS: dict[str, Callable[[Trial], str | None]] = {
+    "info": _check_info,
+    "imports": _check_imports,
+    "fit": _check_fit,
+    "source view": _check_source_view,
+    "virtual view": _check_virtual_view,
+    "masked view": _check_masked_view,
+    "declared needs": _check_needs,
+    "determinism": _check_determinism,
+    "save and reload": _check_reload,
+    "own folder": _check_own_folder,
+}
+AFTER_FIT = (
+    _check_source_view,
+    _check_virtual_view,
+    _check_masked_view,
+    _check_determinism,
+    _check_reload,
+)

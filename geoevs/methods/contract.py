@@ -1,0 +1,200 @@
+"""The adapter contract: what a method gets, what it gives back, and how it is found by name.
+
+A method is one class `Method` in `baselines/<name>/adapter.py`, made with its options as keywords.
+It sees a scene only through `Views`, which holds what the protocol allows and nothing else.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, Self, runtime_checkable
+
+import numpy as np
+import pandas as pd
+
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.randomness import Rng
+from geoevs.projection import colour_points
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import Frame, PointCloud, Rig
+from geoevs.scenes.store import Scene, write_scene
+
+NEEDS = ("lidar", "tracks", "sfm", "training")
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """What a method says of itself.
+
+    Args:
+        name: as people write it, such as `Street Gaussians`.
+        paradigm: `control`, `reconstruction`, `diffusion`, ...
+        extra_prior: what it knew before it saw the scene, such as `Stable Diffusion`.
+        needs: which of NEEDS it uses; `Views` refuses what is not declared.
+        citation: where it was published.
+    """
+
+    name: str
+    paradigm: str
+    extra_prior: str = "none"
+    needs: tuple[str, ...] = ()
+    citation: str = ""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a fit may spend: `seconds` of wall time (None = as the method sees fit), `threads`.
+
+    The method keeps to it; no step is stopped that does not, but its costs show.
+    """
+
+    seconds: float | None = None
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What a fit made: number of primitives, of learned parameters, and a note for the reader.
+
+    `training_seconds` are those of the trainings whose networks the fit was given, which are no
+    part of the fit; None where nothing was trained, or nobody knows how long.
+    """
+
+    primitives: int = 0
+    parameters: int = 0
+    note: str = ""
+    training_seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A synthesised view; depth and support where the method has them."""
+
+    rgb: np.ndarray  # [H, W, 3] float in [0, 1] or uint8
+    depth: np.ndarray | None = None  # [H, W] metres, 0 = none
+    support: np.ndarray | None = None  # [H, W] bool: pixels that geometry explains
+
+
+class Views:
+    """The part of a scene that a method may see under one split.
+
+    Args:
+        scene: the store.
+        cameras: the source cameras the split allows.
+        needs: what the method declared (see MethodInfo); LiDAR and tracks are refused otherwise.
+    """
+
+    def __init__(self, scene: Scene, cameras: Sequence[str], needs: Sequence[str]) -> None:
+        self._scene = scene
+        self._needs = tuple(needs)
+        self.scene_name: str = scene.info.name
+        self.cameras: tuple[str, ...] = tuple(cameras)
+        self.frames: tuple[int, ...] = scene.frames
+        self.rig: Rig = scene.info.rig
+
+    def has(self, need: str) -> bool:
+        """Whether the method declared `need`, so that it may be read."""
+        return need in self._needs
+
+    def camera(self, name: str, frame: int) -> Camera:
+        """A source camera's calibration."""
+        self._allow(name)
+        return self._scene.camera(name, frame)
+
+    def image(self, name: str, frame: int) -> np.ndarray:
+        """(H, W, 3) float32 in [0, 1]: a source image."""
+        self._allow(name)
+        return self._scene.image(name, frame)
+
+    def lidar(self, frame: int) -> PointCloud:
+        """The LiDAR points that may condition a method, never those that score it.
+
+        Positions are in the world, in metres. Colours come from the source cameras alone.
+        """
+        self._require("lidar")
+        points = self._scene.points(frame)
+        points = points.select(~self.rig.scores(points))
+        if set(self.cameras) == set(self._scene.cameras):
+            return points
+        cameras = {name: self.camera(name, frame) for name in self.cameras}
+        images = {name: self.image(name, frame) for name in self.cameras}
+        return colour_points(points, cameras, images)
+
+    @property
+    def tracks(self) -> pd.DataFrame:
+        """Boxes, one row a frame and track (see TRACK_COLUMNS)."""
+        self._require("tracks")
+        return self._scene.tracks
+
+    def save(self, folder: Path) -> None:
+        """Write the allowed part as a scene store of its own, LiDAR and tracks if declared."""
+        info = dataclasses.replace(self._scene.info, cameras=self.cameras)
+        frames = (self._frame(frame) for frame in self.frames)
+        tracks = self._scene.tracks
+        write_scene(folder, info, tracks if self.has("tracks") else tracks[:0], frames)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Open what `save` wrote."""
+        scene = Scene(folder)
+        return cls(scene, scene.cameras, NEEDS)
+
+    def _frame(self, frame: int) -> Frame:
+        cameras = {name: self.camera(name, frame) for name in self.cameras}
+        images = {name: self.image(name, frame) for name in self.cameras}
+        if self.has("lidar"):
+            points = self.lidar(frame)
+        else:
+            points = PointCloud.uncoloured(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+        return Frame(frame, self._scene.timestamp(frame), cameras, images, points)
+
+    def _allow(self, camera: str) -> None:
+        if camera not in self.cameras:
+            raise GeoEvsError(
+                f"camera '{camera}' is not a source of this split; "
+                f"{did_you_mean(camera, self.cameras)}"
+            )
+
+    def _require(self, need: str) -> None:
+        if not self.has(need):
+            raise GeoEvsError(
+                f"the method reads {need} without declaring it; add '{need}' to MethodInfo.needs"
+            )
+
+
+class Adapter(Protocol):
+    """A method under test; its class is called `Method`, its constructor takes its options."""
+
+    info: MethodInfo
+
+    def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
+        """Learn a scene from its allowed views."""
+        ...
+
+    def render(self, camera: Camera, frame: int) -> Rendering:
+        """Synthesise what `camera` would see in `frame`."""
+        ...
+
+    def save(self, folder: Path) -> None:
+        """Write everything `render` needs into an existing, empty folder."""
+        ...
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Restore what `save` wrote; it renders the same pixels."""
+        ...
+
+
+@runtime_checkable
+class MaskedAdapter(Adapter, Protocol):
+    """A method that has a condition map, and so can be asked for masked views (section 3.4)."""
+
+    def render_masked(
+        self,
+        camera: Camera,
+        frame: int,
+        keep: np.ndarray,  # [H, W] bool
+    ) -> Rendering:
+        """As `render`, with the condition map's pixels outside `keep` hidden."""
+        ...

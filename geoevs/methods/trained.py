@@ -1,0 +1,50 @@
+"""What a training left behind, as methods that take its weights find it."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import link_file, read_json
+
+FAILURE_FILE = "failure.json"
+"""In place of networks: why their training failed."""
+
+
+def read_trained(folder: Path) -> dict[str, Any]:
+    """The settings beside a training's networks.
+
+    Raises:
+        GeoEvsError: it failed, and the sentence has its reason; or the settings are missing.
+    """
+    failure = folder / FAILURE_FILE
+    if failure.exists():
+        raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
+    return read_json(folder / "settings.json")
+
+
+def seconds_file(networks: Path) -> Path:
+    """What says how long networks, a folder or one file, were trained.
+
+    It lies beside them and not in their settings, because no two trainings share it.
+    """
+    return networks / "seconds.json" if networks.is_dir() else networks.with_suffix(".seconds.json")
+
+
+def trained_seconds(networks: Path) -> float | None:
+    """Wall seconds of all trainings that made networks; None where nothing says so."""
+    path = seconds_file(networks)
+    return sum(read_json(path).values()) if path.exists() else None
+
+
+def asked_options(method: object, names: Iterable[str]) -> dict[str, Any]:
+    """A method's own values of options that are None where its training's are to be taken."""
+    options = {name: getattr(method, name) for name in names}
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def link_trained(folder: Path, copy: Path) -> None:
+    """Give a training's files second names in another folder: many scenes share its weights."""
+    for path in folder.iterdir():
+        if path.is_file():
+            link_file(path, copy / path.name)

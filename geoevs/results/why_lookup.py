@@ -1,0 +1,234 @@
+"""What stands behind a cell of a table, and how it is looked up in a run's folder."""
+
+import shlex
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from geoevs import layout
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.files import read_json, whole_file
+from geoevs.protocol.entries import MethodEntry
+
+SHOWN = 3
+"""How many of the worst and of the best views are named."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: which table, entrant (METHOD or METHOD.VARIANT), metric and bin.
+
+    Args:
+        table: one of TABLES, or of OTHERS in `why_others`.
+        entrant: as `methods` in the config names it; what else names a row in tables of OTHERS.
+        metric: the column.
+        bin: the row's bin, in tables that have them.
+        dataset: the data set; the run's first where it is empty.
+    """
+
+    table: str
+    entrant: str
+    metric: str
+    bin: str = ""
+    dataset: str = ""
+
+    def place(self) -> str:
+        """Its name in words."""
+        return f"{self.table} {self.entrant} {self.metric} {self.bin}".strip()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a file that a cell is computed from, and the query that finds them there."""
+
+    file: str
+    query: str
+    rows: pd.DataFrame
+
+    @classmethod
+    def of(cls, file: str, frame: pd.DataFrame, terms: Iterable[str]) -> "Rows":
+        """Those of a whole file that meet all terms, as pandas.DataFrame.query takes them."""
+        query = " and ".join(terms)
+        return cls(file, query, frame.query(query))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What `explain` says of a cell.
+
+    Args:
+        value: lines with the number and notes on it.
+        rows: what it is computed from.
+        pictures: lines that name its views and pictures, or say why there are none.
+        config: lines with the settings behind it.
+        parts: the files of rows to make again.
+        rules: the rules that make them.
+        logs: paths of logs, which need not exist.
+    """
+
+    value: list[str]
+    rows: list[Rows]
+    pictures: list[str]
+    config: list[str]
+    parts: list[str]
+    rules: tuple[str, ...] = ("fit", "render", "score")
+    logs: list[str] = field(default_factory=list)
+
+
+class Record:
+    """A run's folder: its manifest and its rows, read when they are asked for."""
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self.manifest = read_json(run / layout.MANIFEST)
+        self.config = self.manifest["config"]
+        self.settings = self.config["tables"]
+
+    @cached_property
+    def scores(self) -> pd.DataFrame:
+        """Score rows."""
+        return self.read(layout.SCORES)
+
+    @cached_property
+    def costs(self) -> pd.DataFrame:
+        """Cost rows."""
+        return self.read(layout.COSTS)
+
+    def read(self, name: str) -> pd.DataFrame:
+        """The rows of one of the run's files.
+
+        Raises:
+            GeoEvsError: it is missing or damaged.
+        """
+        with whole_file(self.run / name):
+            return pd.read_parquet(self.run / name)
+
+    def dataset(self, name: str) -> str:
+        """The data set of that name; the run's first where it is empty."""
+        here = self.scores["dataset"]
+        return known("data set", name or here.iloc[0], here)
+
+    def entrant(self, name: str, dataset: str) -> MethodEntry:
+        """The method and variant called METHOD or METHOD.VARIANT, if the data set has it."""
+        here = self.scores.loc[self.scores["dataset"] == dataset, ["method", "variant"]]
+        pairs = here.drop_duplicates().itertuples(index=False, name=None)
+        entrant = MethodEntry.parse(name, {}, 0)
+        known("entrant", entrant.name, [MethodEntry(*pair).name for pair in pairs])
+        return entrant
+
+    def entries(self, dataset: str, method: str, variants: Iterable[str]) -> list[MethodEntry]:
+        """The variants of a method with every seed that each was run with."""
+        here = self.scores[(self.scores["dataset"] == dataset) & (self.scores["method"] == method)]
+        return [
+            MethodEntry(method, variant, {}, int(seed))
+            for variant in dict.fromkeys(variants)
+            for seed in sorted(here.loc[here["variant"] == variant, "seed"].unique())
+        ]
+
+    def scenes(self, dataset: str) -> list[str]:
+        """The scenes of a data set that were scored."""
+        return self.scores.loc[self.scores["dataset"] == dataset, "scene"].unique().tolist()
+
+    def path(self, pattern: str, dataset: str, scene: str, label: str = "") -> str:
+        """A path of the run by its pattern in the layout."""
+        return str(self.run / pattern.format(dataset=dataset, scene=scene, label=label))
+
+    def parts(self, dataset: str, scenes: Iterable[str], entries: list[MethodEntry]) -> list[str]:
+        """The files of score rows, costs beside them, of entrants on scenes."""
+        return [
+            self.path(layout.SCORE_PART, dataset, scene, entry.label)
+            for scene in scenes
+            for entry in entries
+        ]
+
+    def logs(self, rows: Iterable[Any]) -> list[str]:
+        """Where the logs of the fits behind score or cost rows would lie, in the rows' order."""
+        fits = dict.fromkeys(
+            (row.dataset, row.scene, MethodEntry(row.method, row.variant, {}, int(row.seed)).label)
+            for row in rows
+        )
+        return [
+            self.path(f"logs/{step}/{{dataset}}/{{scene}}/{{label}}.log", *fit)
+            for fit in fits
+            for step in ("fit", "render")
+        ]
+
+    def extremes(self, rows: pd.DataFrame) -> Iterator[str]:
+        """The score rows' lowest and highest values, each with its view's picture."""
+        for title, row in ranked(rows):
+            label = MethodEntry(row.method, row.variant, {}, int(row.seed)).label
+            folder = self.path(layout.RENDERS, row.dataset, row.scene, label)
+            yield f"{title:9} {row.value:.4g}: {folder}/{row.target}/{row.frame:06d}.png"
+
+    def pictures(self, dataset: str, label: str) -> Iterator[str]:
+        """Where an entrant's pictures lie, and what scored them."""
+        renders = self.path(layout.RENDERS, dataset, "<scene>", label)
+        yield f"pictures  {renders}/<view>/<frame>.png"
+        for pattern in (layout.REFERENCES, layout.TRUTH, layout.SCENE):
+            yield f"          {self.path(pattern, dataset, '<scene>')}"
+
+    def config_of(self, names: Iterable[str]) -> list[str]:
+        """The settings that entrants and their trainings had, by their names in the config."""
+        lines = []
+        for name in dict.fromkeys(names):
+            method = self.config["methods"].get(name) or {}
+            lines.append(f"methods.{name}: {method}")
+            training = self.config.get("training", {})
+            if method.get("training") in training.get("variants", {}):
+                common = {key: value for key, value in training.items() if key != "variants"}
+                variant = training["variants"][method["training"]]
+                lines.append(f"training.{method['training']}: {common | variant}")
+        return [*lines, f"tables: {self.settings}"]
+
+    def command(self, found: Found, table: str) -> str:
+        """Makes the cell's rows again, and no others, then the table."""
+        files = self.manifest.get("configfiles", [])
+        configs = f" --configfile {shlex.join(files)}" if files else ""
+        snakemake = f"snakemake --cores 2{configs}"
+        return (
+            f"{snakemake} --forcerun {' '.join(found.rules)} -- {shlex.join(found.parts)} && "
+            f"{snakemake} -- {shlex.quote(str(self.run / f'tables/{table}.csv'))}"
+        )
+
+
+def ranked(rows: pd.DataFrame) -> Iterator[tuple[str, Any]]:
+    """The rows with the lowest values, then those with the highest; nothing of those without."""
+    ordered = rows.dropna(subset="value").sort_values("value", kind="stable")
+    for title, some in (("lowest", ordered.head(SHOWN)), ("highest", ordered.tail(SHOWN)[::-1])):
+        for row in some.itertuples():
+            yield title, row
+
+
+def terms_of(**wanted: Any) -> list[str]:
+    """Terms of a query: columns that are a value, or one of a list of values.
+
+    >>> terms_of(method="geo-evs", split=["observed"])
+    ['method == "geo-evs"', "split in ['observed']"]
+    """
+    return [
+        f"{name} in {value}" if isinstance(value, list) else f'{name} == "{value}"'
+        for name, value in wanted.items()
+    ]
+
+
+def value_line(cell: Cell, row: Any, dataset: str, more: str = "") -> str:
+    """A table's row at the cell: the number and its interval, if it has one."""
+    value, low, high = (row.get(cell.metric + end) for end in ("", "_low", "_high"))
+    interval = "" if low is None or pd.isna(low) else f" [{low:.6g}, {high:.6g}]"
+    return f"cell      {cell.place()} = {value:.6g}{interval} on {dataset}{more}"
+
+
+def known(kind: str, value: str, allowed: Iterable[str]) -> str:
+    """The value, if it is allowed.
+
+    Raises:
+        GeoEvsError: it is not; the sentence names what is.
+    """
+    allowed = list(dict.fromkeys(allowed))
+    if value not in allowed:
+        raise GeoEvsError(f"there is no {kind} '{value}' here; {did_you_mean(value, allowed)}")
+    return value
