@@ -19,7 +19,7 @@ app = typer.Typer(
     "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
 )
 COMMANDS = (
-    *("stages", "geometry", "conditions", "generator", "freevs", "stability", "audit"),
+    *("stages", "geometry", "trainings", "pretraining", "stability", "audit"),
     *("tables", "outcomes", "adapters"),
 )
 _log: Path | None = None

@@ -147,6 +147,14 @@ class SceneSource(Protocol):
 
     has_truth: bool
 
+    def check(self, scene: "SceneRef") -> None:
+        """Refuse a scene, or a range of frames, that its options rule out; no data are looked at.
+
+        Raises:
+            GeoEvsError: there can be no such scene.
+        """
+        ...
+
     def open(self, scene: "SceneRef") -> SceneRecord:
         """Open a scene; its frames are read or rendered as they are iterated."""
         ...
