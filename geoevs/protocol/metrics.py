@@ -406,9 +406,15 @@ METRICS = {
     "gms": MetricSpec(GMS, "dense"),
     "lpips": MetricSpec(LPIPS, "dense"),
 }
-"""Every metric by its name in the rows. Regions: the sparse reference's valid pixels, those of
-them that raw reprojection leaves empty (`new`), those whose point also passes the footprint test,
-and the dense truth's pixels, where there is one, `supported` by raw reprojection or not (`new`).
-Masked targets have other ones: pixels that the degraded condition still has (`supported`), that the
-mask took from it (`removed`), that it never had (`never`), and both of these (`unsupported`). The
-stability suite tells pixels inside boxes of moving cars (`moving`) from others (`still`)."""
+"""Every metric by its name in the rows, with the region of a target that it runs over.
+
+Regions of the sparse reference are its valid pixels (`reference`), those of them that raw
+reprojection leaves empty (`new`), and those whose point also passes the footprint test. Regions of
+the dense truth, where there is one, are all its pixels (`dense`), those that raw reprojection
+supports (`supported`), and the others (`new`).
+
+Masked targets have regions of their own: pixels that the degraded condition still has
+(`supported`), pixels that the mask took from it (`removed`), pixels that it never had (`never`),
+and the last two together (`unsupported`). The stability suite tells pixels inside the boxes of
+moving cars (`moving`) from all others (`still`).
+"""
