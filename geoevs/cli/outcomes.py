@@ -17,7 +17,6 @@ from geoevs.cli.arguments import (
     read_rows,
     scene_pairs,
 )
-from geoevs.core.errors import GeoEvsError
 
 RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
 DatasetName = Annotated[str, typer.Option(help="The data set; left out, the first.")]
@@ -35,25 +34,9 @@ def collect(
     out: Out,
 ) -> None:
     """Put the rows of many jobs into one Parquet file, in the order given, one job at a time."""
-    import io
+    from geoevs.core.parquet import join_parquet
 
-    import pyarrow.parquet as pq
-
-    from geoevs.core.files import whole_file, write_bytes
-
-    buffer = io.BytesIO()
-    with whole_file(parts[0]):
-        schema = pq.read_schema(parts[0])
-    with pq.ParquetWriter(buffer, schema) as writer:
-        for part in parts:
-            with whole_file(part):
-                rows = pq.read_table(part)
-            if not rows.schema.equals(schema):
-                raise GeoEvsError(
-                    f"{part} has other columns than {parts[0]}; delete it and make it again"
-                )
-            writer.write_table(rows)
-    write_bytes(out, buffer.getvalue())
+    join_parquet(out, parts)
 
 
 def grid(

@@ -46,7 +46,7 @@ def stability_targets(scene: SceneFolder, settings: Settings, out: Out) -> None:
 
 
 def stability_render(
-    scenes: Annotated[list[Path], typer.Argument(help="What methods are given, by condition.")],
+    scenes: Annotated[list[Path], typer.Argument(help="What methods are given, by stress.")],
     method: Method,
     group: Group,
     settings: Settings,
@@ -58,14 +58,13 @@ def stability_render(
     variant: str = "default",
     seed: Seed = 0,
 ) -> None:
-    """Fit and render a method under all conditions of a stressor; failures are written down."""
+    """Fit and render a method under all stresses of a group; failures are written down."""
     from geoevs.protocol.entries import MethodEntry
-    from geoevs.protocol.stability import conditions, render_conditions
+    from geoevs.protocol.stability import render_stresses, stresses
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
-    wanted = conditions(group, parse_json("--settings", settings))
-    pairs = list(zip(wanted, scenes, strict=True))
-    render_conditions(entry, pairs, targets, masks, out, method_log)
+    given = zip(stresses(group, parse_json("--settings", settings)), scenes, strict=True)
+    render_stresses(entry, list(given), targets, masks, out, method_log)
 
 
 def stability_score(
@@ -79,23 +78,13 @@ def stability_score(
     variant: str = "default",
     seed: Seed = 0,
 ) -> None:
-    """Score what a method rendered under all conditions of a stressor."""
-    from geoevs import layout
-    from geoevs.core.files import write_bytes
+    """Score what a method rendered under all stresses of a group."""
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
-    from geoevs.protocol.rows import protocol_fingerprint, score_frame
-    from geoevs.protocol.stability_scoring import score_conditions
-    from geoevs.scenes.store import Scene
+    from geoevs.protocol.stability_scoring import score_stresses
 
-    section = parse_json("--settings", settings)
-    place = {"dataset": dataset, "scene": scene}
-    store = Scene(run / layout.SCENE.format(**place))
-    # Levels and draws are columns; poses are all that scores of two scenes must share.
-    poses = {"lateral": section["lateral"]}
-    common = {**place, "fingerprint": protocol_fingerprint(store, poses)}
-    entry = MethodEntry(method, variant, {}, seed)
-    rows = score_conditions(entry, group, run, scene, section, common)
-    write_bytes(out, score_frame(rows).to_parquet(index=False))
+    entry, section = MethodEntry(method, variant, {}, seed), parse_json("--settings", settings)
+    write_parquet(out, score_stresses(entry, group, run, dataset, scene, section))
 
 
 def stability_table(

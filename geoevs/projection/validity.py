@@ -27,7 +27,7 @@ from geoevs.projection.kernels import (
     zbuffer_torch,
 )
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import PointCloud
+from geoevs.scenes.scene import Frame, PointCloud
 
 if TYPE_CHECKING:
     import torch  # importing it costs seconds, so only those who hold tensors pay
@@ -274,6 +274,12 @@ def colour_points(
         uv, _ = project_points(cloud.xyz[winners], camera)
         rgb[winners] = sample_bilinear(images[name], uv)
     return dataclasses.replace(cloud, rgb=rgb, camera=chosen)
+
+
+def colour_frame(frame: Frame) -> Frame:
+    """The frame with its LiDAR points coloured by its own cameras (see `colour_points`)."""
+    points = colour_points(frame.points, frame.cameras, frame.images)
+    return dataclasses.replace(frame, points=points)
 
 
 def _check_points(points: Array) -> None:

@@ -56,7 +56,7 @@ def fit_failures(costs: pd.DataFrame) -> Iterator[Failure]:
 
 
 def stress_failures(scores: pd.DataFrame) -> Iterator[Failure]:
-    """Those of the stability suite's score rows: one for all conditions that ended the same way."""
+    """Those of the stability suite's score rows: one for all stresses that ended the same way."""
     failed = scores[scores["status"] == FAILED]
     for key, rows in failed.groupby(["dataset", "scene", *_ENDING], sort=False):
         dataset, scene, *ending = key

@@ -52,6 +52,8 @@ rule audit_rows:
         in_run(layout.AUDIT_ROWS),
     log:
         in_run("logs/audit-rows.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 

@@ -22,9 +22,9 @@ from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
-    conditions,
     groups,
-    world_name,
+    levels_of,
+    stresses,
     world_options,
 )
 from geoevs.protocol.stressors import STRESSORS
