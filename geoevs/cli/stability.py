@@ -16,8 +16,12 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
-        *(stress, stability_targets, stability_render, stability_score),
-        *(stability_table, stability_chart),
+        stress,
+        stability_targets,
+        stability_render,
+        stability_score,
+        stability_table,
+        stability_chart,
     ):
         app.command()(command)
 
@@ -93,16 +97,9 @@ def stability_table(
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
-    from geoevs.core.files import write_text
-    from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
-    from geoevs.results.stability_page import stability_markdown
+    from geoevs.results.stability_page import write_stability
 
-    rows, section = read_rows(scores), parse_json("--settings", settings)
-    broken, spread = breaking_points(rows, section), seed_spread(rows, section)
-    made = make_stability_table(rows, section)
-    for name, table in (("stability", made), ("breaking_points", broken), ("seed_spread", spread)):
-        write_text(out / f"{name}.csv", table.to_csv(index=False))
-    write_text(out / "breaking_points.md", stability_markdown(made, broken, spread))
+    write_stability(out, read_rows(scores), parse_json("--settings", settings))
 
 
 def stability_chart(
@@ -113,11 +110,6 @@ def stability_chart(
     """Draw every method's curve over the levels of a stressor."""
     import pandas as pd
 
-    from geoevs.core.files import write_text
-    from geoevs.results.chart_pages import write_page
-    from geoevs.results.stability_chart import curves, stability_curves
+    from geoevs.results.stability_chart import write_stability_chart
 
-    shown = curves(pd.read_csv(table), stressor)
-    drawn = stability_curves(shown, stressor)
-    write_text(out.with_suffix(".csv"), shown.to_csv(index=False))
-    write_page(out, drawn)
+    write_stability_chart(out, pd.read_csv(table), stressor)

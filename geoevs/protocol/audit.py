@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import read_image, to_float
@@ -60,8 +61,8 @@ SURFACE = 0.05
 
 def audit_rows(
     run: Path, dataset: str, scene: str, entries: Sequence[MethodEntry], seed: int
-) -> list[dict[str, Any]]:
-    """All rows of one scene; without dense truth, of the ceiling alone.
+) -> pd.DataFrame:
+    """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling alone.
 
     Args:
         run: the run's folder; its files are found by their usual names.
@@ -99,7 +100,8 @@ def audit_rows(
             which = {"target": target.camera.name, "frame": target.frame}
             rows += [{**who, **which, **row} for row in judged]
     blank = {"method": "", "variant": "", "share": 1.0, "dense": np.nan}
-    return [{**common, **blank, **row} for row in rows]
+    filled = [{**common, **blank, **row} for row in rows]
+    return pd.DataFrame(filled, columns=list(AUDIT_TYPES)).astype(AUDIT_TYPES)
 
 
 def _value(

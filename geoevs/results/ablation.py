@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -9,7 +10,7 @@ import pandas as pd
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import PAIR, paired_difference, summarise
-from geoevs.results.formats import latex_tabular, markdown_grid, with_interval
+from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
 from geoevs.results.tables import display_name, paper_values
 
 METHOD, FULL = "geo-evs", "default"
@@ -62,6 +63,12 @@ def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
             {"dataset": dataset, **_row(rows, variant, settings)} for variant in variants or [""]
         ]
     return pd.DataFrame(table)
+
+
+def write_ablation_table(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+    """Write `make_ablation_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
+    table = make_ablation_table(scores, settings)
+    write_formats(stem, table, ablation_markdown, ablation_latex)
 
 
 def column_name(split: str, metric: str) -> str:

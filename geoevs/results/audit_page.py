@@ -1,14 +1,37 @@
 """The audit in words, every number of them from its tables."""
 
 import math
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
+from geoevs.core.files import write_text
+from geoevs.results.audit import audit_tables
+from geoevs.results.audit_chart import agreement_chart, support_chart
+from geoevs.results.chart_pages import write_page
 from geoevs.results.formats import markdown_grid
 from geoevs.results.tables import display_name
 
 RANKS_WELL = 0.8
 """The tau from which on methods are said to be ranked well: nine of ten pairs in the same order."""
+
+
+def write_audit(folder: Path, rows: pd.DataFrame, settings: dict[str, Any]) -> None:
+    """Write the audit's tables as CSV, two of them as charts, and the page in words.
+
+    Args:
+        folder: where `<table>.csv`, `agreement` and `support_bias` as PNG and HTML, and `audit.md`
+            go.
+        rows: the audit's rows (AUDIT_TYPES).
+        settings: the config's `tables` section.
+    """
+    tables = audit_tables(rows, settings)
+    for name, table in tables.items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    write_page(folder / "agreement", agreement_chart(tables["agreement"]))
+    write_page(folder / "support_bias", support_chart(tables["support_bias"]))
+    write_text(folder / "audit.md", audit_markdown(tables))
 
 
 def audit_markdown(tables: dict[str, pd.DataFrame]) -> str:

@@ -13,7 +13,7 @@ import vl_convert
 from geoevs.core.files import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.charts import COSTS, SPEED, higher_is_better
+from geoevs.results.charts import COSTS, SPEED, higher_is_better, speed_accuracy
 from geoevs.results.tables import bin_names, table_spec
 
 WIDTH, HEIGHT = 300, 230
@@ -50,6 +50,30 @@ SHAPE = (
 )
 CHOSEN = alt.selection_point(fields=["name"], bind="legend")
 FADED = alt.when(CHOSEN).then(alt.value(0.9)).otherwise(alt.value(0.08))
+
+
+def write_chart(
+    stem: Path,
+    name: str,
+    scores: pd.DataFrame,
+    costs: pd.DataFrame,
+    settings: dict[str, Any],
+    sets: pd.DataFrame | None = None,
+) -> None:
+    """Draw speed against accuracy as CSV, PNG and a page that needs no network.
+
+    Args:
+        stem: the path without suffix.
+        name: the table whose views to chart, one of TABLES.
+        scores: the run's score rows.
+        costs: its cost rows.
+        settings: the config's `tables` section.
+        sets: rows of distances between sets, if there are any.
+    """
+    table = speed_accuracy(name, scores, costs, settings, sets)
+    page = draw_page(name, table, settings)
+    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_page(stem, page)
 
 
 def draw_page(name: str, table: pd.DataFrame, settings: dict[str, Any]) -> alt.VConcatChart:

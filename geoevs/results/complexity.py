@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -10,7 +11,7 @@ from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.tables import display_name
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"
@@ -77,6 +78,11 @@ def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataF
     columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note"]
     made = pd.DataFrame(table, columns=columns)
     return made.astype(dict.fromkeys(numbers, "float64"))
+
+
+def write_complexity_table(stem: Path, scores: pd.DataFrame, costs: pd.DataFrame) -> None:
+    """Write `make_complexity_table` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_complexity_table(scores, costs), complexity_markdown)
 
 
 def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:

@@ -1,13 +1,14 @@
 """Depth of recorded views before and after fine-tuning, with what it costs (paper section 3.2)."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from geoevs.protocol.depth_scoring import CONTROL, COVERAGE, FINE_TUNED, PRETRAINED
 from geoevs.results.bootstrap import summarise
-from geoevs.results.formats import latex_tabular, markdown_grid
+from geoevs.results.formats import latex_tabular, markdown_grid, write_formats
 
 METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑", COVERAGE: "↑"}
 TITLE = "Depth of recorded views (paper section 3.2)"
@@ -51,6 +52,12 @@ def make_geometry_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
         row["parameters"] = int(once["parameters"].iloc[0])
         table.append(row)
     return pd.DataFrame(table)
+
+
+def write_geometry_table(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+    """Write `make_geometry_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
+    table = make_geometry_table(scores, settings)
+    write_formats(stem, table, geometry_markdown, geometry_latex)
 
 
 def geometry_markdown(table: pd.DataFrame) -> str:

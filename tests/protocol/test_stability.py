@@ -199,9 +199,7 @@ def test_the_metrics_of_motion_tell_moving_cars_apart(folder, toy):
 
 
 def test_a_stressor_of_another_world_is_added_in_one_place(folder, toy, monkeypatch):
-    grain = Stressor(
-        "rays of a pixel", kind="world", levels=(64, 8), falling=True, option="samples"
-    )
+    grain = Stressor("rays of a pixel", kind="world", levels=(8, 2), falling=True, option="samples")
     monkeypatch.setitem(STRESSORS, "grain", grain)
     assert groups(SETTINGS) == [CLEAN, "support", "motion", "grain"]
     assert world_options(Stress("grain", 2).world("tiny")) == ("tiny", {"samples": 2})
