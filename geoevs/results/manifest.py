@@ -13,20 +13,34 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, whole_file, write_bytes, write_json
 
 PACKAGES = (
-    *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),
-    *("opencv-contrib-python-headless", "pycolmap", "mitsuba", "numba", "scipy", "pillow"),
-    *("diffusers", "safetensors"),
+    "geoevs",
+    "snakemake",
+    "torch",
+    "numpy",
+    "pandas",
+    "pyarrow",
+    "scikit-image",
+    "kornia",
+    "opencv-contrib-python-headless",
+    "pycolmap",
+    "mitsuba",
+    "numba",
+    "scipy",
+    "pillow",
+    "diffusers",
+    "safetensors",
 )
 
 
 def make_manifest(
     config: Mapping[str, Any], inputs: Sequence[Path], configfiles: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Commit, config, input hashes, versions and machine; no times, so that reruns agree.
+    """Commit, protocol, config, input hashes, versions and machine; no times, so that reruns agree.
 
     Args:
         config: the merged config of the run.
@@ -35,6 +49,7 @@ def make_manifest(
     """
     return {
         "commit": _commit(),
+        "protocol": PROTOCOL,
         "configfiles": list(configfiles),
         "config": config,
         "seed": config["seed"],

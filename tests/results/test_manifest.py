@@ -4,6 +4,7 @@ import platform
 import numpy as np
 import pytest
 
+from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.results import manifest
 from geoevs.results.manifest import (
@@ -29,6 +30,7 @@ def test_it_says_what_the_run_was_made_of(folder):
     made = make_manifest(CONFIG, [folder, folder / "a"])
     assert made["config"] == CONFIG
     assert made["seed"] == 3
+    assert made["protocol"] == PROTOCOL
     assert list(made["inputs"]) == [str(folder), str(folder / "a")]
     # printf bc | sha256sum
     assert made["inputs"][str(folder / "a")].startswith("1e0bbd6c686ba050")
