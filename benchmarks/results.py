@@ -24,8 +24,18 @@ from geoevs.protocol.rows import SCORE_TYPES, cost_frame
 
 ROWS = (10_000, 100_000, 1_000_000)
 ENTRANTS = [
-    *("reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint", "emernerf"),
-    *("geo-evs", "geo-evs.v1", "geo-evs.v2", "geo-evs-support", "three-dgs", "freevs"),
+    "reference",
+    "mean-colour",
+    "nearest-view",
+    "reproject",
+    "reproject-inpaint",
+    "emernerf",
+    "geo-evs",
+    "geo-evs.v1",
+    "geo-evs.v2",
+    "geo-evs-support",
+    "three-dgs",
+    "freevs",
 ]
 SPLITS = {"observed": 5, "interpolation": 1, "extrapolation": 4, "pose-sweep": 20}
 SETTINGS = (
@@ -81,11 +91,24 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
                 sizes = {"peak_memory": int(cost * 1e8), "bytes": int(cost * 1e5)}
                 rows.append(
                     {
-                        **{"dataset": "street", "scene": f"scene-{scene}", "sources": sources},
-                        **{"method": method, "variant": variant or "default", "seed": 0},
-                        **{"fit_seconds": cost, "render_seconds": cost / 20, **sizes},
-                        **{"gpu_memory": 0, "primitives": 0, "parameters": 0, "device": "cpu"},
-                        **{"threads": 2, "note": "", "status": "ok", "stage": "", "reason": ""},
+                        "dataset": "street",
+                        "scene": f"scene-{scene}",
+                        "sources": sources,
+                        "method": method,
+                        "variant": variant or "default",
+                        "seed": 0,
+                        "fit_seconds": cost,
+                        "render_seconds": cost / 20,
+                        **sizes,
+                        "gpu_memory": 0,
+                        "primitives": 0,
+                        "parameters": 0,
+                        "device": "cpu",
+                        "threads": 2,
+                        "note": "",
+                        "status": "ok",
+                        "stage": "",
+                        "reason": "",
                         "log": "",
                     }
                 )

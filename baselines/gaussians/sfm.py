@@ -173,8 +173,12 @@ def _match(observed: list[Observed], database: pycolmap.Database) -> int:
         geometry = _known_geometry(view, other)
         matcher.match_guided(
             EPIPOLAR_ERROR,
-            *(view.keypoints, view.descriptors, view.lens),
-            *(other.keypoints, other.descriptors, other.lens),
+            view.keypoints,
+            view.descriptors,
+            view.lens,
+            other.keypoints,
+            other.descriptors,
+            other.lens,
             geometry,
         )
         if len(geometry.inlier_matches):

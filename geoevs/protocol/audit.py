@@ -34,8 +34,13 @@ from geoevs.scenes.store import Scene
 
 AUDIT_TYPES = {
     **dict.fromkeys(("dataset", "scene", "target", "part", "method", "variant"), "string"),
-    **{"metric": "string", "frame": "int64", "share": "float64", "support_ratio": "float64"},
-    **{"value": "float64", "dense": "float64", "pixels": "int64"},
+    "metric": "string",
+    "frame": "int64",
+    "share": "float64",
+    "support_ratio": "float64",
+    "value": "float64",
+    "dense": "float64",
+    "pixels": "int64",
 }
 TWINS: dict[str, tuple[type[MaskedMean], str]] = {
     "sparse_psnr": (PSNR, "dense"),
@@ -230,8 +235,13 @@ def _ceiling(scene: Scene) -> Iterator[dict[str, Any]]:
             images = {other: scene.image(other, frame) for other in others}
             coloured = colour_points(points, others, images)
             image, mask = _shown(coloured, camera)
-            row = {"part": "ceiling", "target": name, "frame": frame}
-            row |= {"support_ratio": mask.mean(), "pixels": int(mask.sum())}
+            row = {
+                "part": "ceiling",
+                "target": name,
+                "frame": frame,
+                "support_ratio": mask.mean(),
+                "pixels": int(mask.sum()),
+            }
             for metric, kind in (("sparse_psnr", PSNR), ("sparse_ssim", SSIM)):
                 if mask.any():
                     yield {**row, "metric": metric, "value": _value(kind, photo, image, mask)}

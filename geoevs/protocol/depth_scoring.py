@@ -90,8 +90,11 @@ def depth_scores(
             for frame, found, seconds in _timed_depths(scene, candidate.model, SCALES[scale]):
                 described = {
                     **common,
-                    **{"frame": frame, "model": candidate.name, "stage": candidate.stage},
-                    **{"scale": scale, "seconds": seconds},
+                    "frame": frame,
+                    "model": candidate.name,
+                    "stage": candidate.stage,
+                    "scale": scale,
+                    "seconds": seconds,
                     "parameters": candidate.model.parameters,
                 }
                 rows += _frame_rows(scene, depths, frame, found, described)

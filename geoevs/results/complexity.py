@@ -111,8 +111,8 @@ def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
     fixed = here[_is_fixed(here)]
     row: dict[str, Any] = {"note": ""}
     if len(chosen):
-        (mine,) = chosen.to_dict("records")
-        row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(mine), strict=True))
+        (fit,) = chosen.to_dict("records")
+        row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(fit), strict=True))
     if len(fixed):
         best = fixed.loc[fixed["psnr"].idxmax()].to_dict()
         names = ("best", "best_psnr", "best_seconds")
@@ -139,11 +139,29 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def complexity_markdown(table: pd.DataFrame) -> str:
     """A heading, one table for every data set, and a legend."""
-    header = ["method", "scene", "chosen", "dB", "s", "best fixed", "dB", "s"]
-    header += ["regret dB", "regret s", "note"]
-    forms = {"chosen": ",.0f", "psnr": ".2f", "seconds": ".1f", "best": ",.0f"}
-    forms |= {"best_psnr": ".2f", "best_seconds": ".1f", "regret_db": "+.2f"}
-    forms |= {"regret_seconds": "+.1f"}
+    header = [
+        "method",
+        "scene",
+        "chosen",
+        "dB",
+        "s",
+        "best fixed",
+        "dB",
+        "s",
+        "regret dB",
+        "regret s",
+        "note",
+    ]
+    forms = {
+        "chosen": ",.0f",
+        "psnr": ".2f",
+        "seconds": ".1f",
+        "best": ",.0f",
+        "best_psnr": ".2f",
+        "best_seconds": ".1f",
+        "regret_db": "+.2f",
+        "regret_seconds": "+.1f",
+    }
     parts = [f"# {TITLE}\n"]
     for dataset, rows in table.groupby("dataset", sort=False):
         body = []

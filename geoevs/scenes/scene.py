@@ -18,7 +18,13 @@ TRACK_COLUMNS = (
     "frame",
     "track",
     "label",
-    *("x", "y", "z", "length", "width", "height", "yaw"),
+    "x",
+    "y",
+    "z",
+    "length",
+    "width",
+    "height",
+    "yaw",
     "moving",
 )
 

@@ -202,8 +202,10 @@ def _described(failure: Failure) -> dict[str, str]:
     log = Path(failure.log) if failure.log else None
     return {
         "name": display_name(failure.method, failure.variant),
-        **{"place": failure.place, "stage": failure.stage},
-        **{"reason": failure.reason, "log": failure.log},
+        "place": failure.place,
+        "stage": failure.stage,
+        "reason": failure.reason,
+        "log": failure.log,
         "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
     }
 
