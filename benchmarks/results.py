@@ -47,7 +47,7 @@ SETTINGS = (
 def score_rows(count: int, entrants: list[str] = ENTRANTS) -> pd.DataFrame:
     """About as many score rows, of as many frames as it takes."""
     rng = np.random.default_rng(0)
-    targets = [(split, f"{split}-{k}") for split, some in SPLITS.items() for k in range(some)]
+    targets = [(split, f"{split}-{k}") for split, views in SPLITS.items() for k in range(views)]
     metrics = [*METRICS]
     per_frame = len(targets) * len(metrics) * len(entrants)
     frames = max(6, round(count / per_frame))
@@ -118,8 +118,8 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
 def write_rows(count: int, parts: Path, costs: Path) -> None:
     """Score rows as jobs leave them, one file a method, and cost rows."""
     parts.mkdir()
-    for method, some in score_rows(count).groupby("method"):
-        some.to_parquet(parts / f"{method}.parquet", index=False)
+    for method, rows in score_rows(count).groupby("method"):
+        rows.to_parquet(parts / f"{method}.parquet", index=False)
     cost_rows().to_parquet(costs, index=False)
 
 

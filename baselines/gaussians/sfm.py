@@ -137,12 +137,12 @@ def _triangulate(observed: list[Observed], folder: Path) -> list[_Track]:
     options.mapper.random_seed = 0
     options.mapper.filter_max_reproj_error = REPROJECTION_ERROR
     options.mapper.filter_min_tri_angle = TRIANGULATION_ANGLE
-    found = pycolmap.triangulate_points(
+    triangulated = pycolmap.triangulate_points(
         reconstruction, folder / "database.db", folder, folder, options=options
     )
     return [
         _Track(point.xyz, sorted({element.image_id - 1 for element in point.track.elements}))
-        for _, point in sorted(found.points3D.items())
+        for _, point in sorted(triangulated.points3D.items())
     ]
 
 

@@ -181,14 +181,14 @@ def _reference_errors(world: World, target: Target, depths: Path) -> Iterator[di
         leak = buffer.depth[valid] > farthest[valid] * (1 + SURFACE)
         wrong = leak | mixed[chosen]
         error = np.square(points.rgb[chosen] - truth[valid]).mean(axis=1)
-        found = {
+        values = {
             "leak": leak.mean(),
             "colour": mixed[chosen].mean(),
             "wrong": wrong.mean(),
             "psnr": -10 * np.log10(error.mean()),
             "psnr_right": -10 * np.log10(error[~wrong].mean()) if (~wrong).any() else np.nan,
         }
-        for name, value in found.items():
+        for name, value in values.items():
             yield {
                 "part": "reference",
                 "metric": f"{visibility}_{name}",
@@ -205,9 +205,9 @@ def _mixed_colours(scene: Scene, points: PointCloud, frame: int, depths: Path) -
     mixed = np.zeros(len(points), bool)
     dense = read_depths(depths, frame)
     for number, name in enumerate(scene.cameras):
-        mine = np.flatnonzero(points.camera == number)
+        of_camera = np.flatnonzero(points.camera == number)
         camera = scene.camera(name, frame)
-        uv, depth = project_points(points.xyz[mine], camera)
+        uv, depth = project_points(points.xyz[of_camera], camera)
         last = np.array([camera.width, camera.height]) - 2
         column, row = np.clip(np.floor(uv - 0.5), 0, last).astype(int).T
         cell = np.stack([dense[name][row + down, column + right] for down, right in CELL])
@@ -216,7 +216,7 @@ def _mixed_colours(scene: Scene, points: PointCloud, frame: int, depths: Path) -
         hidden = depth > cell.max(axis=0) * (1 + SURFACE)
         across, down = depth_edges(dense[name])
         torn = across[row, column] | across[row + 1, column] | down[row, column]
-        mixed[mine] = hidden | beyond | torn | down[row, column + 1]
+        mixed[of_camera] = hidden | beyond | torn | down[row, column + 1]
     return mixed
 
 

@@ -40,9 +40,9 @@ def stability_step(
         log: where this process' output goes; outcomes name it.
     """
     with tempfile.TemporaryDirectory() as scratch:
-        listed = Path(scratch) / "targets.json"
-        every = read_targets(Path(targets))
-        write_targets(listed, [t for t in every if splits is None or t.split in splits])
+        target_list = Path(scratch) / "targets.json"
+        listed = read_targets(Path(targets))
+        write_targets(target_list, [t for t in listed if splits is None or t.split in splits])
         certain: dict[str, Path] = {}  # by scene: what a fit that is not random has left
         for stress in stresses:
             place = Path(folder) / stress["key"]
@@ -58,8 +58,8 @@ def stability_step(
                     arguments = (stress["seed"], ALL_CAMERAS, budget, model)
                     fit = fit_step(stress["scene"], method, options, *arguments)
                     stage = "render"
-                    seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
-                    render_step(method, *seen, warm_up=False)
+                    views = (str(target_list), ALL_CAMERAS)
+                    render_step(method, *views, model, masks, {}, str(place), warm_up=False)
                 if not fit["random"]:
                     certain[stress["scene"]] = place
             except Exception as error:

@@ -81,10 +81,10 @@ def column_name(split: str, metric: str) -> str:
 
 
 def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str, Any]:
-    mine, full = (rows[rows["variant"] == name] for name in (variant, FULL))
-    summary = summarise(mine, ["split", "metric"], **_bootstrap(settings))
+    of_variant, full = (rows[rows["variant"] == name] for name in (variant, FULL))
+    summary = summarise(of_variant, ["split", "metric"], **_bootstrap(settings))
     summary = summary.set_index(["split", "metric"])
-    row: dict[str, Any] = {"variant": variant, "seeds": mine["seed"].nunique()}
+    row: dict[str, Any] = {"variant": variant, "seeds": of_variant["seed"].nunique()}
     pairs = 0
     printed = paper_values("ablation").get(variant, {})
     for split, metric in MEASURES:
@@ -93,13 +93,14 @@ def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str
             row[f"{name}_paper"] = printed.get(metric, math.nan)
         for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
             row[name + suffix] = summary[column].get((split, metric), math.nan)
-        others = _of(mine, split, metric) if variant != FULL else mine[:0]
+        others = _of(of_variant, split, metric) if variant != FULL else of_variant[:0]
         difference = paired_difference(_of(full, split, metric), others, **_bootstrap(settings))
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
-        row[f"{name}_seed_sd"] = _of(mine, split, metric).groupby("seed")["value"].mean().std()
+        by_seed = _of(of_variant, split, metric).groupby("seed")["value"]
+        row[f"{name}_seed_sd"] = by_seed.mean().std()
         pairs += difference.pairs
-    row["failed"] = len(mine[mine["status"] == FAILED].drop_duplicates(PAIR))
+    row["failed"] = len(of_variant[of_variant["status"] == FAILED].drop_duplicates(PAIR))
     row["note"] = _note(variant, row["failed"], pairs)
     return row
 

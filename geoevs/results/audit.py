@@ -104,12 +104,12 @@ def _resampled(
     weights = redraw(scenes, settings["resamples"], np.random.default_rng(0)) / len(sparse)
     drawn = list(zip(weights @ sparse, weights @ dense, strict=True))
     tail = (1 - settings["confidence"]) / 2
-    found = []
+    estimates = []
     for statistic in statistics:
         samples = [statistic(*means) for means in drawn]
         low, high = np.nanquantile(samples, [tail, 1 - tail], method="inverted_cdf")
-        found.append((statistic(sparse.mean(axis=0), dense.mean(axis=0)), low, high))
-    return found
+        estimates.append((statistic(sparse.mean(axis=0), dense.mean(axis=0)), low, high))
+    return estimates
 
 
 def _named(name: str, values: tuple[float, float, float]) -> dict[str, float]:

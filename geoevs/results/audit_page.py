@@ -42,15 +42,15 @@ def audit_markdown(tables: dict[str, pd.DataFrame]) -> str:
     """
     parts = ["# The metric on trial\n"]
     for dataset in tables["ceiling"]["dataset"].unique():
-        mine = {
+        of_dataset = {
             name: table[table["dataset"] == dataset] if len(table) else table
             for name, table in tables.items()
         }
         parts.append(f"## {dataset}: When sparse PSNR can be trusted\n")
-        parts += [f"- {sentence}" for sentence in _verdicts(mine)]
+        parts += [f"- {sentence}" for sentence in _verdicts(of_dataset)]
         parts.append("")
-        if len(mine["agreement"]):
-            parts.append(_agreement_grid(mine["agreement"]) + "\n")
+        if len(of_dataset["agreement"]):
+            parts.append(_agreement_grid(of_dataset["agreement"]) + "\n")
     return "\n".join(parts)
 
 
@@ -90,13 +90,13 @@ def _ranking(table: pd.DataFrame) -> list[str]:
 def _support(table: pd.DataFrame) -> list[str]:
     bias = table.set_index(["metric", "share"])["mean"]
     worst = bias["sparse_psnr"].abs().idxmax()
-    some = min(table["share"], key=lambda share: abs(share - 0.05))
+    thin = min(table["share"], key=lambda share: abs(share - 0.05))
     return [
         f"**Support alone.** On random pixels of the truth, sparse PSNR is off by "
-        f"{bias['sparse_psnr', some]:+.2f} dB at a support of {some:g}, and at worst by "
-        f"{bias['sparse_psnr', worst]:+.2f} dB, at {worst:g}. At {some:g}, normalised sparse SSIM "
-        f"is off by {bias['sparse_ssim', some]:+.3f}, the zero-filled reading by "
-        f"{bias['sparse_ssim_zero_fill', some]:+.3f}."
+        f"{bias['sparse_psnr', thin]:+.2f} dB at a support of {thin:g}, and at worst by "
+        f"{bias['sparse_psnr', worst]:+.2f} dB, at {worst:g}. At {thin:g}, normalised sparse SSIM "
+        f"is off by {bias['sparse_ssim', thin]:+.3f}, the zero-filled reading by "
+        f"{bias['sparse_ssim_zero_fill', thin]:+.3f}."
     ]
 
 

@@ -64,10 +64,10 @@ def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataF
         here = fits[fits["dataset"] == dataset]
         methods = here.loc[_is_fixed(here), "method"].unique()
         for method in methods:
-            mine = here[here["method"] == method]
+            fits_of_method = here[here["method"] == method]
             rows = [
-                {"dataset": dataset, "method": method, "scene": scene} | _row(mine, scene)
-                for scene in mine["scene"].unique()
+                {"dataset": dataset, "method": method, "scene": scene} | _row(fits_of_method, scene)
+                for scene in fits_of_method["scene"].unique()
             ]
             rows.sort(key=lambda row: (row.get("chosen", math.inf), row["scene"]))
             table += [*rows, _mean(rows)]
@@ -205,10 +205,10 @@ def size_curves(
     means = means.drop(columns="failed").dropna(subset="mean")
     fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"]).assign(chosen=math.nan)
     fits = fits[_is_fixed(fits) | (fits["variant"] == CHOSEN)]
-    made = [fits[:0]]
-    for _, mine in fits.groupby(["dataset", "method"], sort=False):
-        if _is_fixed(mine).any():
-            sizes = mine[mine["variant"] == CHOSEN].drop_duplicates("scene").set_index("scene")
-            mine = mine.assign(chosen=mine["scene"].map(sizes["primitives"]))
-            made.append(mine.sort_values(["chosen", "scene", "primitives"], kind="stable"))
-    return pd.concat(made, ignore_index=True)
+    sized = [fits[:0]]
+    for _, curve in fits.groupby(["dataset", "method"], sort=False):
+        if _is_fixed(curve).any():
+            sizes = curve[curve["variant"] == CHOSEN].drop_duplicates("scene").set_index("scene")
+            curve = curve.assign(chosen=curve["scene"].map(sizes["primitives"]))
+            sized.append(curve.sort_values(["chosen", "scene", "primitives"], kind="stable"))
+    return pd.concat(sized, ignore_index=True)

@@ -50,8 +50,9 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         note = alt.Chart(pd.DataFrame({"note": [list(NOTHING)]})).mark_text(fontSize=13)
         return alt.vconcat(note.encode(text="note:N").properties(width=2 * WIDTH, height=80))
     rows = []
-    for (dataset, method), mine in table.groupby(["dataset", "method"], sort=False):
-        panels = [_panel(some, str(scene)) for scene, some in mine.groupby("scene", sort=False)]
+    for (dataset, method), fits in table.groupby(["dataset", "method"], sort=False):
+        scenes = fits.groupby("scene", sort=False)
+        panels = [_panel(of_scene, str(scene)) for scene, of_scene in scenes]
         title = f"{dataset}: {display_name(method, CHOSEN)}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."

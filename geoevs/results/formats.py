@@ -114,9 +114,13 @@ def latex_tabular(
 
 def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     lacking = {why.partition(":")[0] for why in _unmeasured(rows)}
-    shown = [m for m in (*spec.metrics, *spec.set_metrics) if m in lacking or _has_content(rows, m)]
+    metrics = [
+        metric
+        for metric in (*spec.metrics, *spec.set_metrics)
+        if metric in lacking or _has_content(rows, metric)
+    ]
     header = ["method", *(["bin"] if spec.bins else [])]
-    for metric in shown:
+    for metric in metrics:
         if f"{metric}_paper" in rows:
             header.append(f"{metric} {arrow(metric)} paper")
         header.append(f"{metric} {arrow(metric)}")
@@ -127,7 +131,7 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         name = display_name(row["method"], row["variant"])
         line = [f"*{name}*" if row["group"] == "control" else name]
         line += [row["bin"]] if spec.bins else []
-        for metric in shown:
+        for metric in metrics:
             if f"{metric}_paper" in rows:
                 line.append(number(metric, row[f"{metric}_paper"]))
             without = metric in lacking and row["unmeasured"]
