@@ -1,7 +1,7 @@
 """Checking a run's config: one sentence per mistake, with the file, the line and the right word."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from geoevs.core.settings import check_options
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.methods.finding import find_trainings
 from geoevs.protocol.entries import ORACLES
-from geoevs.protocol.stressors import MOTION_OPTION
+from geoevs.protocol.stability import levels_of
+from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.scenes.scene import source_class
 
 SUITE_MODEL = "vggt-nano"
@@ -137,13 +138,13 @@ def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                     f"data set '{name}' is under 'evaluate' too, at other targets; name another "
                     "one of the same source"
                 )
-    for name in stability["datasets"]:
-        dataset = config["datasets"][name]
-        for level in stability["levels"]["motion"]:
-            with located(("stability", "levels", "motion"), files):
-                options = dataset["options"] | {MOTION_OPTION: level}
-                source = source_class(dataset["source"])
-                check_options(f"data source '{dataset['source']}'", source, options, 2)
+    for name in stability["levels"]:
+        with located(("stability", "levels", name), files):
+            stressor_named(name)
+    worlds = [name for name, stressor in STRESSORS.items() if stressor.kind == "world"]
+    for dataset, stressor in itertools.product(stability["datasets"], worlds):
+        with located(("stability", "levels", stressor), files):
+            _check_worlds(config["datasets"][dataset], stressor, levels_of(stressor, stability))
     for name in stability["methods"]:
         with located(("stability", "methods", name), files):
             if name not in config["methods"]:
@@ -157,3 +158,17 @@ def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                     "remove it"
                 )
             check_method_options(entry)
+
+
+def _check_worlds(dataset: Mapping[str, Any], stressor: str, levels: Iterable[float]) -> None:
+    """The data source must take every level as the option that the stressor sets."""
+    source = dataset["source"]
+    for level in levels:
+        options = dataset["options"] | {STRESSORS[stressor].option: level}
+        try:
+            check_options(f"data source '{source}'", source_class(source), options, 2)
+        except GeoEvsError as mistake:
+            raise GeoEvsError(
+                f"{mistake}; the stressor '{stressor}' sets that option, and is left out by an "
+                "empty list of levels"
+            ) from mistake

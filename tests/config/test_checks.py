@@ -9,6 +9,7 @@ from geoevs.config.checks import check_config
 from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import expand_scenes, partition_scenes
 from geoevs.core.errors import GeoEvsError
+from geoevs.protocol.stressors import STRESSORS, Stressor
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
@@ -99,7 +100,11 @@ def merged(*texts: str) -> dict:
         ("datasets: []", "datasets: [reel]", "no data set 'reel' .*did you mean 'real'"),
         ("datasets: []", "datasets: [real]", "'real' is under 'evaluate' too"),
         ("support: [0.02]", "support: [0.02], support: [0.03]", "'support' stands in line"),
-        ("support: [0.02]", "suport: [0.02]", "'suport' is not a known key"),
+        (
+            "support: [0.02]",
+            "suport: [0.02]",
+            r"config.yaml:\d+: there is no stressor 'suport'; did you mean 'support'",
+        ),
         ("support: [0.02]", "support: [-1]", "-1 is less than the minimum"),
         ("best: {inpaint: telea}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
         ("{inpaint: telea}", "{paint: no}", "'paint'"),
@@ -123,8 +128,31 @@ def test_only_worlds_that_a_source_can_make_are_asked_for():
     config["stability"]["datasets"] = ["stressed"]
     check_config(config, SCHEMA, [])
     config["stability"]["levels"]["motion"] = [5]
-    with pytest.raises(GeoEvsError, match="'pandaset' has no option 'traffic_speed'"):
+    sentence = "'pandaset' has no option 'traffic_speed'.* 'motion' sets that .* an empty list"
+    with pytest.raises(GeoEvsError, match=sentence):
         check_config(config, SCHEMA, [])
+    del config["stability"]["levels"]["motion"]  # its own levels
+    with pytest.raises(GeoEvsError, match=sentence):
+        check_config(config, SCHEMA, [])
+
+
+def test_a_new_stressor_needs_no_change_of_the_schema(check, monkeypatch):
+    check("support: [0.02], ", "")
+    grain = Stressor("rays of a pixel", kind="world", levels=(8,), option="samples")
+    monkeypatch.setitem(STRESSORS, "grain", grain)
+    check("support: [0.02]", "grain: [8, 4]")
+    config = yaml.safe_load(VALID)
+    config["stability"]["levels"]["grain"] = [8]
+    config["datasets"]["stressed"] = config["datasets"]["real"] | {"partitions": {}}
+    config["stability"]["datasets"] = ["stressed"]
+    with pytest.raises(GeoEvsError, match="'pandaset' has no option 'samples'"):
+        check_config(config, SCHEMA, [])
+
+
+def test_the_default_levels_are_those_of_the_config():
+    config = yaml.safe_load((PROJECT / "config.yaml").read_text())
+    levels = config["stability"]["levels"]
+    assert levels == {name: list(STRESSORS[name].levels) for name in levels}
 
 
 def test_a_valid_config_passes(check):

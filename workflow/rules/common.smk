@@ -19,9 +19,9 @@ from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
-    conditions,
     groups,
-    world_name,
+    levels_of,
+    stresses,
     world_options,
 )
 from geoevs.protocol.stressors import STRESSORS
@@ -166,15 +166,14 @@ def scene_arguments(wildcards):
     )
 
 
-def source_code(wildcards):
-    """Hash of the data source that a scene comes from, and of how scenes are stored."""
-    source = config["datasets"][wildcards.dataset]["source"]
-    return code_hash(
-        find_sources()[source],
-        "geoevs.projection",
-        "geoevs.scenes.store",
-        "geoevs.scenes.depths",
-    )
+def source_code(module):
+    """A function for `params`: hash of a scene's data source, and of the module that asks it."""
+
+    def of(wildcards):
+        source = config["datasets"][wildcards.dataset]["source"]
+        return code_hash(find_sources()[source], module)
+
+    return of
 
 
 def method_code(step):
