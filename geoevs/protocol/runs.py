@@ -11,7 +11,7 @@ from typing import Any
 
 from geoevs.core.files import new_folder, write_json
 from geoevs.methods.contract import Budget
-from geoevs.protocol.entries import FAILED, OK, ORACLES, MethodEntry, read_outcomes
+from geoevs.protocol.entries import FAILED, FINE, ORACLES, MethodEntry, failed, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
 
@@ -84,14 +84,12 @@ def _attempt(stage: str, arguments: dict[str, Any], threads: int, log: Path) -> 
         step = f"geoevs.protocol.{stage}_step:{stage}_step"
         result, usage = run_isolated(step, arguments, threads, log)
     except MethodFailedError as failure:
-        why = {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log)}
-        return {**why, "threads": threads, **asdict(Usage(0, 0))}
+        return {**failed(stage, str(failure), log), "threads": threads, **asdict(Usage(0, 0))}
     return _succeeded(result, usage, threads)
 
 
 def _succeeded(result: dict[str, Any], usage: Usage, threads: int) -> dict[str, Any]:
-    fine = {"status": OK, "stage": "", "reason": "", "log": ""}
-    return {**fine, "threads": threads, **asdict(usage), **result}
+    return {**FINE, "threads": threads, **asdict(usage), **result}
 
 
 def _source_sets(targets: Path) -> list[str]:

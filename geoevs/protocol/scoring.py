@@ -11,7 +11,7 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, to_float
 from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, cause, read_outcomes
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.rows import COST_TYPES
@@ -138,7 +138,7 @@ def score_method(
         described = {
             **common,
             **describe(entry, target),
-            **{name: outcome[name] for name in ("stage", "reason", "log")},
+            **cause(outcome),
         }
         main, *thinned = keeps
         if target.masked:

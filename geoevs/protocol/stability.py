@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.files import new_folder, write_json
-from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.protocol.entries import MethodEntry, failed
 from geoevs.protocol.isolate import MethodFailedError, run_isolated
 from geoevs.protocol.stressors import MOTION_OPTION, STRESSORS
 from geoevs.protocol.targets import ALL_CAMERAS, Target
@@ -173,11 +173,6 @@ def render_conditions(
                 if not path.exists():
                     path.parent.mkdir(exist_ok=True)
                     write_json(path, failed("fit or render", str(failure), log))
-
-
-def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
-    """The outcome of a condition that failed."""
-    return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.files import read_arrays, read_image, read_json, to_float
 from geoevs.projection import unproject_depth
-from geoevs.protocol.entries import FAILED, OK, MethodEntry
+from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
 from geoevs.protocol.reference import References
 from geoevs.protocol.scoring import Answer, describe, regions, score_regions
 from geoevs.protocol.stability import (
@@ -91,13 +91,12 @@ def score_conditions(
         world = World(run, dataset, world_name(scene, condition.level)) if moved else clean
         folder = renders / condition.key
         outcome = read_json(folder / OUTCOME_FILE)
-        ending = {name: outcome[name] for name in ("stage", "reason", "log")}
         for target in world.targets:
             if group != CLEAN and target.split != "extrapolation":
                 continue
             failed = outcome["status"] == FAILED
             preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
-            shared = {**common, **describe(entry, target), **ending, "seed": condition.draw}
+            shared = {**common, **describe(entry, target), **cause(outcome), "seed": condition.draw}
             for stress, names, answers in _questions(condition, world, clean, target, settings):
                 scores = score_regions(names, preds, answers)
                 rows += [{**shared, **stress, **score} for score in scores]
@@ -209,9 +208,8 @@ def _spread_rows(
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
         supported = clean.reprojected(target)
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):
-            row = {"metric": name, "stressor": CLEAN, "level": 0.0, "status": OK}
+            row = {**FINE, "metric": name, "stressor": CLEAN, "level": 0.0}
             row |= {"support_ratio": supported.mean(), "valid_pixels": int(region.sum())}
             row |= {"value": float(spread[region].mean()) if region.any() else np.nan}
-            row |= {"stage": "", "reason": "", "log": ""}
             rows.append({**common, **describe(entry, target), "seed": 0, **row})
     return rows

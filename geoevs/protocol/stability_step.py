@@ -6,12 +6,12 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import reason_of
 from geoevs.core.files import write_json
-from geoevs.protocol.entries import OK
+from geoevs.protocol.entries import FINE, failed
 from geoevs.protocol.fit_step import fit_step
 from geoevs.protocol.render_step import render_step
-from geoevs.protocol.stability import OUTCOME_FILE, failed
+from geoevs.protocol.stability import OUTCOME_FILE
 from geoevs.protocol.targets import ALL_CAMERAS, read_targets, write_targets
 
 
@@ -50,7 +50,7 @@ def stability_step(
                 shutil.copytree(certain[condition["scene"]], place)
                 continue
             place.mkdir()
-            outcome = {"status": OK, "stage": "", "reason": "", "log": ""}
+            outcome = FINE
             stage = "fit"
             try:
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
@@ -64,6 +64,5 @@ def stability_step(
                     certain[condition["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
-                kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
-                outcome = failed(stage, kind + " ".join(str(error).split()), log)
+                outcome = failed(stage, reason_of(error), log)
             write_json(place / OUTCOME_FILE, outcome)
