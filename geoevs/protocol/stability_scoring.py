@@ -6,11 +6,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import read_arrays, read_image, read_json, to_float
-from geoevs.projection import unproject_depth
+from geoevs.geometry.moving import pixels_in_boxes
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
 from geoevs.protocol.reference import References
 from geoevs.protocol.scoring import Answer, describe, regions, score_regions
@@ -23,7 +22,7 @@ from geoevs.protocol.stability import (
 )
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
-from geoevs.scenes.camera import Camera
+from geoevs.scenes.boxes import Box
 from geoevs.scenes.store import Scene
 
 METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
@@ -117,9 +116,9 @@ def _questions(
     if condition.stressor == "motion" and depth is not None:
         tracks = clean.scene.tracks
         cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
-        boxes = world.scene.tracks
-        boxes = boxes[boxes["track"].isin(cars) & (boxes["frame"] == target.frame)]
-        inside = in_boxes(depth, target.camera, boxes)
+        here = world.scene.tracks
+        here = here[here["track"].isin(cars) & (here["frame"] == target.frame)]
+        inside = pixels_in_boxes(depth, target.camera, Box.rows(here), BOX_MARGIN)
         dense = answers["dense"]
         answers["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
         answers["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
@@ -169,27 +168,6 @@ def _edges_down(inverse: np.ndarray) -> np.ndarray:
     bend = np.pad(np.abs(np.diff(step, axis=0)), ((1, 1), (0, 0)), constant_values=np.inf)
     least = EDGE * np.minimum(inverse[1:], inverse[:-1])
     return (np.abs(step) > least) & (np.minimum(bend[1:], bend[:-1]) > least)
-
-
-def in_boxes(depth: np.ndarray, camera: Camera, boxes: pd.DataFrame) -> np.ndarray:
-    """(H, W) bool: pixels whose surface lies in one of the boxes (see TRACK_COLUMNS).
-
-    Args:
-        depth: (H, W) true depth of the view in metres, 0 = none.
-        camera: the view.
-        boxes: of its frame.
-    """
-    points, pixels = unproject_depth(depth, camera)
-    inside = np.zeros(len(points), bool)
-    for box in boxes.itertuples():
-        cos, sin = np.cos(np.radians(box.yaw)), np.sin(np.radians(box.yaw))
-        away = points - [box.x, box.y, box.z]
-        local = np.stack([away @ [cos, sin, 0], away @ [-sin, cos, 0], away[:, 2]], axis=1)
-        half = np.array([box.length, box.width, box.height]) / 2 + BOX_MARGIN
-        inside |= (np.abs(local) <= half).all(axis=1)
-    mask = np.zeros(depth.size, bool)
-    mask[pixels] = inside
-    return mask.reshape(depth.shape)
 
 
 def _spread_rows(

@@ -6,8 +6,7 @@ import pytest
 
 from geoevs import layout
 from geoevs.core.files import read_json, write_image
-from geoevs.methods.tiny import CAR, ROOM, tiny_camera, tiny_truth, write_tiny_scene
-from geoevs.projection import unproject_depth
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.records import write_records
@@ -22,7 +21,7 @@ from geoevs.protocol.stability import (
     stability_targets,
     world_name,
 )
-from geoevs.protocol.stability_scoring import depth_edges, edge_distance, in_boxes, score_conditions
+from geoevs.protocol.stability_scoring import depth_edges, edge_distance, score_conditions
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.protocol.truth import write_truth
@@ -170,21 +169,3 @@ def test_a_plane_at_a_grazing_angle_has_no_edge():
 
 def test_the_sky_is_behind_everything():
     assert edge_distance(np.array([[0.0, 0.0, 50.0, 50.0]])).tolist() == [[1.0, 0.0, 0.0, 1.0]]
-
-
-def test_pixels_in_a_box_are_those_of_its_car():
-    camera = tiny_camera("aside", 15.0, np.array([0.0, 0.5, 1.6]))
-    truth = tiny_truth(camera)
-    centre, size = CAR.mean(axis=0), CAR[1] - CAR[0]
-    fields = ("x", "y", "z", "length", "width", "height")
-    box = dict(zip(fields, [*centre, *size], strict=True)) | {"yaw": 0.0}
-    inside = in_boxes(truth.depth, camera, pd.DataFrame([box]))
-    rays = unproject_depth(np.ones_like(truth.depth), camera)[0] - camera.centre
-    with np.errstate(divide="ignore"):
-        wall = ((ROOM[:, None] - camera.centre) / rays).max(axis=0).min(axis=1)
-    car = truth.depth < wall.reshape(truth.depth.shape) - 1e-3
-    assert car.sum() > 100
-    assert inside[car].all()
-    assert (inside & ~car).sum() < 0.2 * car.sum()  # the floor that touches it
-    turned = pd.DataFrame([box | {"yaw": 90.0, "x": centre[0] - 30}])
-    assert not in_boxes(truth.depth, camera, turned).any()
