@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, SceneFolder, TableSettings, parse_json, read_rows
+from geoevs.cli.arguments import (
+    Dataset,
+    Out,
+    Run,
+    SceneFolder,
+    SceneInRun,
+    TableSettings,
+    parse_json,
+    read_rows,
+)
 
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
 Group = Annotated[str, typer.Option(help="The stressor, or clean.")]
@@ -70,8 +79,8 @@ def stability_render(
 
 def stability_score(
     run: Run,
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
-    scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    dataset: Dataset,
+    scene: SceneInRun,
     method: Method,
     group: Group,
     settings: Settings,
@@ -80,21 +89,17 @@ def stability_score(
     seed: Seed = 0,
 ) -> None:
     """Score what a method rendered under all conditions of a stressor."""
-    from geoevs import layout
     from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.rows import protocol_fingerprint, score_frame
     from geoevs.protocol.stability_scoring import score_conditions
-    from geoevs.scenes.store import Scene
+    from geoevs.run import Answers
 
     section = parse_json("--settings", settings)
-    place = {"dataset": dataset, "scene": scene}
-    store = Scene(run / layout.SCENE.format(**place))
+    entry, clean = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
     # Levels and draws are columns; poses are all that scores of two scenes must share.
-    poses = {"lateral": section["lateral"]}
-    common = {**place, "fingerprint": protocol_fingerprint(store, poses)}
-    entry = MethodEntry(method, variant, {}, seed)
-    rows = score_conditions(entry, group, run, scene, section, common)
+    fingerprint = protocol_fingerprint(clean.scene, {"lateral": section["lateral"]})
+    rows = score_conditions(entry, group, clean, section, fingerprint)
     write_bytes(out, score_frame(rows).to_parquet(index=False))
 
 

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, read_json, to_float
+from geoevs.core.files import read_image, read_json, to_float
 from geoevs.geometry.moving import pixels_in_boxes
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
-from geoevs.protocol.reference import References
-from geoevs.protocol.scoring import Answer, describe, regions, score_regions
+from geoevs.protocol.regions import Answer
+from geoevs.protocol.scoring import describe, score_regions
 from geoevs.protocol.stability import (
     CLEAN,
     OUTCOME_FILE,
@@ -20,10 +20,9 @@ from geoevs.protocol.stability import (
     conditions,
     world_name,
 )
-from geoevs.protocol.targets import Target, read_targets
-from geoevs.protocol.truth import dense_truth
+from geoevs.protocol.targets import Target
+from geoevs.run import Answers
 from geoevs.scenes.boxes import Box
-from geoevs.scenes.store import Scene
 
 METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
 MOTION_METRICS = ("psnr", "psnr_moving", "psnr_still")
@@ -36,36 +35,8 @@ SKY = 1e-6  # its inverse depth, 1 / metres
 BOX_MARGIN = 0.1  # metres around a car's box that still are its own, such as mirrors
 
 
-class World:
-    """The answers of a scene in one world, found under a run's folder by their usual names."""
-
-    def __init__(self, run: Path, dataset: str, scene: str) -> None:
-        place = {"dataset": dataset, "scene": scene}
-        self.scene = Scene(run / layout.SCENE.format(**place))
-        self.targets = read_targets(run / layout.TARGETS.format(**place))
-        self._references = References(run / layout.REFERENCES.format(**place))
-        self._truth = run / layout.TRUTH.format(**place)
-
-    def regions(self, target: Target, keep: float = 1.0) -> dict[str, Answer]:
-        """What a target should look like, by region (see METRICS of the protocol).
-
-        `keep` is the share of the reference's pixels that is kept.
-        """
-        dense = dense_truth(self.scene, self._truth, target)
-        return regions(self._references[target.key], dense, keep)
-
-    def depth(self, target: Target) -> np.ndarray | None:
-        """(H, W) true depth of a target in metres, 0 = none; None where nobody knows it."""
-        path = self._truth / f"{target.key}.npz"
-        return read_arrays(path)["depth"] if path.exists() else None
-
-    def reprojected(self, target: Target) -> np.ndarray:
-        """(H, W) bool: pixels that raw reprojection of the clean scene supports."""
-        return self._references[target.key].reprojected
-
-
 def score_conditions(
-    entry: MethodEntry, group: str, run: Path, scene: str, settings: dict, common: dict
+    entry: MethodEntry, group: str, clean: Answers, settings: dict, fingerprint: str
 ) -> list[dict[str, Any]]:
     """Score what `render_conditions` left of one group.
 
@@ -75,19 +46,17 @@ def score_conditions(
     Args:
         entry: who rendered.
         group: a stressor, or CLEAN.
-        run: the run's folder.
-        scene: the clean scene's name.
+        clean: of the clean scene.
         settings: the config's `stability` section.
-        common: columns that all rows share: dataset, scene, fingerprint.
+        fingerprint: of the protocol (see `protocol_fingerprint`).
     """
-    dataset = common["dataset"]
-    place = {"dataset": dataset, "scene": scene, "group": group, "label": entry.label}
-    renders = run / layout.STABILITY_RENDERS.format(**place)
-    clean = World(run, dataset, scene)
+    common = {**clean.place, "fingerprint": fingerprint}
+    renders = clean.path(layout.STABILITY_RENDERS, group=group, label=entry.label)
     rows = []
     for condition in conditions(group, settings):
         moved = group == "motion"
-        world = World(run, dataset, world_name(scene, condition.level)) if moved else clean
+        name = world_name(clean.name, condition.level) if moved else clean.name
+        world = Answers(clean.run, clean.dataset, name)
         folder = renders / condition.key
         outcome = read_json(folder / OUTCOME_FILE)
         for target in world.targets:
@@ -96,17 +65,17 @@ def score_conditions(
             failed = outcome["status"] == FAILED
             preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
             shared = {**common, **describe(entry, target), **cause(outcome), "seed": condition.draw}
-            for stress, names, answers in _questions(condition, world, clean, target, settings):
-                scores = score_regions(names, preds, answers)
+            for stress, names, regions in _questions(condition, world, clean, target, settings):
+                scores = score_regions(names, preds, regions)
                 rows += [{**shared, **stress, **score} for score in scores]
     return rows + (_spread_rows(entry, clean, renders, settings, common) if group == CLEAN else [])
 
 
 def _questions(
-    condition: Condition, world: World, clean: World, target: Target, settings: dict
+    condition: Condition, world: Answers, clean: Answers, target: Target, settings: dict
 ) -> Iterator[tuple[dict[str, Any], tuple[str, ...], dict[str, Answer]]]:
-    """What is asked of one picture: columns `stressor` and `level`, metrics, and their answers."""
-    answers = world.regions(target)
+    """What is asked of one picture: columns `stressor` and `level`, metrics, and their regions."""
+    regions = world.regions(target)
     stress = {"stressor": condition.stressor, "level": condition.level}
     if target.split == "lateral":
         stress = {"stressor": "lateral", "level": abs(target.lateral_shift)}
@@ -119,15 +88,15 @@ def _questions(
         here = world.scene.tracks
         here = here[here["track"].isin(cars) & (here["frame"] == target.frame)]
         inside = pixels_in_boxes(depth, target.camera, Box.rows(here), BOX_MARGIN)
-        dense = answers["dense"]
-        answers["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
-        answers["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
-        yield stress, MOTION_METRICS, answers
+        dense = regions["dense"]
+        regions["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
+        regions["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
+        yield stress, MOTION_METRICS, regions
         return
-    yield stress, tuple(name for name in METRICS if "dense" in answers or "sparse" in name), answers
+    yield stress, tuple(name for name in METRICS if "dense" in regions or "sparse" in name), regions
     if condition.stressor == CLEAN and target.split == "extrapolation" and depth is not None:
         distance = edge_distance(depth)
-        dense = answers["dense"]
+        dense = regions["dense"]
         for level in settings["levels"]["edges"]:
             band = {"dense": Answer(dense.target, distance <= level, dense.support_ratio)}
             yield {"stressor": "edges", "level": level}, ("psnr",), band
@@ -171,7 +140,7 @@ def _edges_down(inverse: np.ndarray) -> np.ndarray:
 
 
 def _spread_rows(
-    entry: MethodEntry, clean: World, renders: Path, settings: dict, common: dict
+    entry: MethodEntry, clean: Answers, renders: Path, settings: dict, common: dict
 ) -> list[dict[str, Any]]:
     """SPREADS of the half-way targets; none where a draw failed or there is one draw alone."""
     folders = [renders / condition.key for condition in conditions(CLEAN, settings)]
@@ -184,7 +153,7 @@ def _spread_rows(
             continue
         pictures = [to_float(read_image(folder / f"{target.key}.png")) for folder in folders]
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
-        supported = clean.reprojected(target)
+        supported = clean.reference(target).reprojected
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):
             row = {**FINE, "metric": name, "stressor": CLEAN, "level": 0.0}
             row |= {"support_ratio": supported.mean(), "valid_pixels": int(region.sum())}

@@ -58,7 +58,7 @@ def stability_step(
                     arguments = (condition["seed"], ALL_CAMERAS, budget, model)
                     fit = fit_step(condition["scene"], method, options, *arguments)
                     stage = "render"
-                    seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
+                    seen = (str(listed), ALL_CAMERAS, model, masks, str(place))
                     render_step(method, *seen, warm_up=False)
                 if not fit["random"]:
                     certain[condition["scene"]] = place

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, write_json
 from geoevs.methods.contract import Budget
@@ -107,7 +108,7 @@ def test_a_method_that_does_not_exist_is_a_failure_too(attempt):
 def test_a_second_fit_starts_a_new_log(toy, stage, tmp_path):
     targets = stage.keep(tmp_path / "targets.json", "extrapolation")
     (tmp_path / "log").write_text("of an earlier run\n")
-    entry, scene = MethodEntry(toy("loud", fit="print('fitted')")), stage.folder / "scene"
+    entry, scene = MethodEntry(toy("loud", fit="print('fitted')")), stage.store.folder
     fit_method(entry, scene, targets, BUDGET, tmp_path / "model", tmp_path / "log")
     assert (tmp_path / "log").read_text() == "fitted\n"
 
@@ -126,9 +127,9 @@ def test_pictures_that_are_none_are_refused(toy, stage, tmp_path, kind):
     line, sentence = PICTURES[kind]
     targets = stage.keep(tmp_path / "targets.json", "interpolation")
     name = toy(f"picture_{kind.replace(' ', '_')}", render=line).replace("_", "-")
-    masks = str(stage.evidence.masks)
+    masks = str(stage.answers.path(layout.MASKS))
     with pytest.raises(GeoEvsError) as caught:
-        render_step(name, str(targets), "front-side", str(tmp_path), masks, {}, str(tmp_path))
+        render_step(name, str(targets), "front-side", str(tmp_path), masks, str(tmp_path))
     key = "interpolation-front/000000"
     assert str(caught.value).startswith(f"target {key} was rendered ")
     assert str(caught.value).endswith(sentence)
@@ -141,9 +142,7 @@ def test_a_fit_of_the_wrong_shape_is_one_sentence(stage, tmp_path, text):
         render_method(
             MethodEntry("mean-colour"),
             tmp_path,
-            stage.evidence.targets,
-            stage.evidence.masks,
-            {},
+            *(stage.answers.path(pattern) for pattern in (layout.TARGETS, layout.MASKS)),
             tmp_path / "renders",
             tmp_path / "log",
         )

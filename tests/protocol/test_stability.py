@@ -25,6 +25,7 @@ from geoevs.protocol.stability_scoring import depth_edges, edge_distance, score_
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.protocol.truth import write_truth
+from geoevs.run import Answers
 from geoevs.scenes.scene import SceneRef
 
 LEVELS = {name: [] for name in STRESSORS} | {
@@ -99,8 +100,8 @@ def test_one_failing_condition_does_not_end_the_others(folder, toy):
     assert {ending["status"] for ending in endings} == {"failed"}
     assert "without declaring it" in endings[0]["reason"]
     assert "nowhere" in endings[1]["reason"]
-    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
-    rows = score_conditions(MethodEntry(method), "support", folder, "tiny", SETTINGS, common)
+    clean = Answers(folder, "d", "tiny")
+    rows = score_conditions(MethodEntry(method), "support", clean, SETTINGS, "f")
     assert {row["status"] for row in rows} == {"failed"}
     assert {row["level"] for row in rows} == {0.05, 0.01}
 
@@ -141,10 +142,8 @@ def test_clean_renders_score_poses_edges_and_spread(folder, toy):
     for target in read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny")):
         picture = np.full((48, 72, 3), 0.5 + 0.1, np.float32)
         write_image(renders / Condition(CLEAN, draw=1).key / f"{target.key}.png", picture)
-    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
-    rows = pd.DataFrame(
-        score_conditions(MethodEntry(method), CLEAN, folder, "tiny", SETTINGS, common)
-    )
+    clean = Answers(folder, "d", "tiny")
+    rows = pd.DataFrame(score_conditions(MethodEntry(method), CLEAN, clean, SETTINGS, "f"))
     assert set(rows["stressor"]) == {CLEAN, "lateral", "yaw", "edges"}
     assert set(rows[rows["stressor"] == "yaw"]["level"]) == {0.0, 45.0}
     edges = rows[rows["stressor"] == "edges"].groupby("level")["valid_pixels"].sum()

@@ -26,7 +26,7 @@ rule fit:
 
 rule render:
     input:
-        unpack(evidence),
+        unpack(oracle_answers),
         model=in_run(layout.MODEL),
         targets=in_run(layout.TARGETS),
         masks=in_run(layout.MASKS),
@@ -40,9 +40,9 @@ rule render:
     threads: workflow.cores
     params:
         method=lambda wildcards: ENTRIES[wildcards.label].method,
-        evidence=evidence_arguments,
+        answers=oracle_arguments,
         code=method_code("render"),
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
-        " --targets {input.targets:q} --masks {input.masks:q} {params.evidence}"
+        " --targets {input.targets:q} --masks {input.masks:q} {params.answers}"
         " --method-log {log.method:q} --out {output:q}"
