@@ -14,14 +14,14 @@ from geoevs.run import Answers
 
 
 def oracle_step(
-    name: str, run: str, dataset: str, scene: str, sources: str, folder: str
+    method: str, run: str, dataset: str, scene: str, sources: str, folder: str
 ) -> dict[str, Any]:
     """What `render_step` does for methods, for one of ORACLES: they alone open a scene's answers.
 
     Masked targets show the view without the mask.
 
     Args:
-        name: which one.
+        method: which one.
         run: the run's folder.
         dataset: the scene's data set in the config.
         scene: its name there.
@@ -34,7 +34,7 @@ def oracle_step(
     answers = Answers(Path(run), dataset, scene)
 
     def render(target: Target) -> Rendering:
-        return Rendering(oracle_picture(name, answers, target))
+        return Rendering(oracle_picture(method, answers, target))
 
     wanted = [target for target in answers.targets if target.sources == sources]
     return render_targets(render, wanted, Path(folder))

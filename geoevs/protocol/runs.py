@@ -79,18 +79,11 @@ def render_method(
             if fit["status"] == FAILED:
                 outcomes[sources] = fit
                 continue
-            step, arguments = (
-                RENDER_STEP,
-                {
-                    "method": entry.method,
-                    "targets": str(targets),
-                    "model": str(model / sources / "model"),
-                    "masks": str(masks),
-                },
-            )
+            step, read = RENDER_STEP, {"targets": str(targets), "masks": str(masks)}
+            read["model"] = str(model / sources / "model")
             if entry.method in ORACLES:
-                step, arguments = ORACLE_STEP, {"name": entry.method, **answers}
-            arguments |= {"sources": sources, "folder": str(partial)}
+                step, read = ORACLE_STEP, answers
+            arguments = {"method": entry.method, "sources": sources, "folder": str(partial), **read}
             rendered = _attempt("render", step, arguments, fit["threads"], log)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
