@@ -9,7 +9,7 @@ rule fit:
     output:
         directory(in_run(layout.MODEL)),
     log:
-        in_run("logs/fit/{dataset}/{scene}/{label}.log"),
+        in_run(layout.FIT_LOG),
         method=in_run("logs/fit/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/fit/{dataset}/{scene}/{label}.tsv")
@@ -33,7 +33,7 @@ rule render:
     output:
         directory(in_run(layout.RENDERS)),
     log:
-        in_run("logs/render/{dataset}/{scene}/{label}.log"),
+        in_run(layout.RENDER_LOG),
         method=in_run("logs/render/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/render/{dataset}/{scene}/{label}.tsv")
