@@ -1,5 +1,6 @@
 """The commands for people who add a method: `new-adapter` and `check-adapter`."""
 
+import importlib
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,6 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-import baselines
 from geoevs.cli.arguments import parse_json
 from geoevs.methods.check import Check
 from geoevs.methods.check import check_adapter as run_checks
@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) -> None:
     """Write a small working adapter, for you to change, and its test."""
-    root = Path(baselines.__path__[0]).parent
+    root = Path(importlib.import_module("baselines").__path__[0]).parent
     console = Console()
     written = write_adapter(name, root)
     for path in written:
