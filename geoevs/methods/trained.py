@@ -10,6 +10,9 @@ from geoevs.core.files import link_file, read_json
 FAILURE_FILE = "failure.json"
 """In place of networks: why their training failed."""
 
+GEOMETRY_FILE = "geometry.safetensors"
+"""The depth network's weights beside networks that learned from its depth."""
+
 
 def read_trained(folder: Path) -> dict[str, Any]:
     """The settings beside a training's networks.

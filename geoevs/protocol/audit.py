@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import read_image, to_float
@@ -33,8 +34,13 @@ from geoevs.scenes.store import Scene
 
 AUDIT_TYPES = {
     **dict.fromkeys(("dataset", "scene", "target", "part", "method", "variant"), "string"),
-    **{"metric": "string", "frame": "int64", "share": "float64", "support_ratio": "float64"},
-    **{"value": "float64", "dense": "float64", "pixels": "int64"},
+    "metric": "string",
+    "frame": "int64",
+    "share": "float64",
+    "support_ratio": "float64",
+    "value": "float64",
+    "dense": "float64",
+    "pixels": "int64",
 }
 TWINS: dict[str, tuple[type[MaskedMean], str]] = {
     "sparse_psnr": (PSNR, "dense"),
@@ -58,8 +64,8 @@ SURFACE = 0.05
 """Relative difference in depth up to which two pixels show one surface."""
 
 
-def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> list[dict[str, Any]]:
-    """All rows of one scene; without dense truth, of the ceiling alone.
+def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> pd.DataFrame:
+    """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling alone.
 
     Args:
         answers: the scene's.
@@ -90,7 +96,8 @@ def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> l
             which = {"target": target.camera.name, "frame": target.frame}
             rows += [{**who, **which, **row} for row in judged]
     blank = {"method": "", "variant": "", "share": 1.0, "dense": np.nan}
-    return [{**answers.place, **blank, **row} for row in rows]
+    filled = [{**answers.place, **blank, **row} for row in rows]
+    return pd.DataFrame(filled, columns=list(AUDIT_TYPES)).astype(AUDIT_TYPES)
 
 
 def _value(
@@ -166,14 +173,14 @@ def _reference_errors(answers: Answers, target: Target) -> Iterator[dict[str, An
         leak = buffer.depth[valid] > farthest[valid] * (1 + SURFACE)
         wrong = leak | mixed[chosen]
         error = np.square(points.rgb[chosen] - truth[valid]).mean(axis=1)
-        found = {
+        values = {
             "leak": leak.mean(),
             "colour": mixed[chosen].mean(),
             "wrong": wrong.mean(),
             "psnr": -10 * np.log10(error.mean()),
             "psnr_right": -10 * np.log10(error[~wrong].mean()) if (~wrong).any() else np.nan,
         }
-        for name, value in found.items():
+        for name, value in values.items():
             yield {
                 "part": "reference",
                 "metric": f"{visibility}_{name}",
@@ -194,9 +201,9 @@ def _mixed_colours(
     """
     mixed = np.zeros(len(points), bool)
     for number, name in enumerate(scene.cameras):
-        mine = np.flatnonzero(points.camera == number)
+        of_camera = np.flatnonzero(points.camera == number)
         camera = scene.camera(name, frame)
-        uv, depth = project_points(points.xyz[mine], camera)
+        uv, depth = project_points(points.xyz[of_camera], camera)
         last = np.array([camera.width, camera.height]) - 2
         column, row = np.clip(np.floor(uv - 0.5), 0, last).astype(int).T
         cell = np.stack([depths[name][row + down, column + right] for down, right in CELL])
@@ -205,7 +212,7 @@ def _mixed_colours(
         hidden = depth > cell.max(axis=0) * (1 + SURFACE)
         across, down = depth_edges(depths[name])
         torn = across[row, column] | across[row + 1, column] | down[row, column]
-        mixed[mine] = hidden | beyond | torn | down[row, column + 1]
+        mixed[of_camera] = hidden | beyond | torn | down[row, column + 1]
     return mixed
 
 
@@ -224,8 +231,13 @@ def _ceiling(scene: Scene) -> Iterator[dict[str, Any]]:
             images = {other: scene.image(other, frame) for other in others}
             coloured = colour_points(points, others, images)
             image, mask = _shown(coloured, camera)
-            row = {"part": "ceiling", "target": name, "frame": frame}
-            row |= {"support_ratio": mask.mean(), "pixels": int(mask.sum())}
+            row = {
+                "part": "ceiling",
+                "target": name,
+                "frame": frame,
+                "support_ratio": mask.mean(),
+                "pixels": int(mask.sum()),
+            }
             for metric, kind in (("sparse_psnr", PSNR), ("sparse_ssim", SSIM)):
                 if mask.any():
                     yield {**row, "metric": metric, "value": _value(kind, photo, image, mask)}

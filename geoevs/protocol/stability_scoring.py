@@ -1,4 +1,4 @@
-"""Score rows of the stability suite: every condition, pose, and group of pixels of one method."""
+"""Score rows of the stability suite: every stress, pose, and group of pixels of one method."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,100 +6,115 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import read_image, read_json, to_float
 from geoevs.geometry.moving import pixels_in_boxes
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
+from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.regions import Answer
+from geoevs.protocol.rows import protocol_fingerprint, score_frame
 from geoevs.protocol.scoring import describe, score_regions
-from geoevs.protocol.stability import (
-    CLEAN,
-    OUTCOME_FILE,
-    Condition,
-    conditions,
-    world_name,
-)
+from geoevs.protocol.stability import CLEAN, OUTCOME_FILE, Stress, levels_of, stresses
+from geoevs.protocol.stressors import STRESSORS, USUAL_METRICS
 from geoevs.protocol.targets import Target
 from geoevs.run import Answers
 from geoevs.scenes.boxes import Box
 
-METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
-MOTION_METRICS = ("psnr", "psnr_moving", "psnr_still")
+MOVING, STILL = "dense-moving", "dense-still"
+"""Regions inside boxes of the cars that drive, and outside of them."""
+
 SPREADS = ("seed_spread_supported", "seed_spread_new")
 """Standard deviation over draws of a pixel's channels, of 1, where raw reprojection supports it
-and where not. Only generative methods have one in clean conditions."""
+and where not. Only generative methods have one without stress."""
 
 EDGE = 0.1  # of the farther one's inverse depth: the least break between two surfaces
 SKY = 1e-6  # its inverse depth, 1 / metres
 BOX_MARGIN = 0.1  # metres around a car's box that still are its own, such as mirrors
 
 
-def score_conditions(
-    entry: MethodEntry, group: str, clean: Answers, settings: dict, fingerprint: str
-) -> list[dict[str, Any]]:
-    """Score what `render_conditions` left of one group.
+def score_stresses(
+    entry: MethodEntry, group: str, clean: Answers, settings: dict[str, Any]
+) -> pd.DataFrame:
+    """Score what `render_stresses` left of one group, as SCORE_TYPES says.
 
     In these rows `seed` is the draw. CLEAN gives the rows of `lateral`, `yaw` and `edges` as well,
-    and how far the draws lie apart (SPREADS).
+    and how far the draws lie apart (SPREADS). Levels and draws are columns, so that the fingerprint
+    holds of the settings only what scores of two scenes must share: the shifts of the targets.
 
     Args:
         entry: who rendered.
         group: a stressor, or CLEAN.
         clean: of the clean scene.
         settings: the config's `stability` section.
-        fingerprint: of the protocol (see `protocol_fingerprint`).
     """
+    fingerprint = protocol_fingerprint(clean.scene, {"lateral": settings["lateral"]})
     common = {**clean.place, "fingerprint": fingerprint}
     renders = clean.path(layout.STABILITY_RENDERS, group=group, label=entry.label)
     rows = []
-    for condition in conditions(group, settings):
-        moved = group == "motion"
-        name = world_name(clean.name, condition.level) if moved else clean.name
-        world = Answers(clean.run, clean.dataset, name)
-        folder = renders / condition.key
+    for stress in stresses(group, settings):
+        world = clean
+        if stress.kind == "world":
+            world = Answers(clean.run, clean.dataset, stress.world(clean.name))
+        folder = renders / stress.key
         outcome = read_json(folder / OUTCOME_FILE)
         for target in world.targets:
             if group != CLEAN and target.split != "extrapolation":
                 continue
             failed = outcome["status"] == FAILED
             preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
-            shared = {**common, **describe(entry, target), **cause(outcome), "seed": condition.draw}
-            for stress, names, regions in _questions(condition, world, clean, target, settings):
+            shared = {**common, **describe(entry, target), **cause(outcome), "seed": stress.draw}
+            for columns, names, regions in _questions(stress, world, clean, target, settings):
                 scores = score_regions(names, preds, regions)
-                rows += [{**shared, **stress, **score} for score in scores]
-    return rows + (_spread_rows(entry, clean, renders, settings, common) if group == CLEAN else [])
+                rows += [{**shared, **columns, **score} for score in scores]
+    if group == CLEAN:
+        rows += _spread_rows(entry, clean, renders, settings, common)
+    return score_frame(rows)
 
 
 def _questions(
-    condition: Condition, world: Answers, clean: Answers, target: Target, settings: dict
+    stress: Stress, world: Answers, clean: Answers, target: Target, settings: dict[str, Any]
 ) -> Iterator[tuple[dict[str, Any], tuple[str, ...], dict[str, Answer]]]:
     """What is asked of one picture: columns `stressor` and `level`, metrics, and their regions."""
     regions = world.regions(target)
-    stress = {"stressor": condition.stressor, "level": condition.level}
+    columns = {"stressor": stress.stressor, "level": stress.level}
     if target.split == "lateral":
-        stress = {"stressor": "lateral", "level": abs(target.lateral_shift)}
+        columns = {"stressor": "lateral", "level": abs(target.lateral_shift)}
     if target.split == "yaw":
-        stress = {"stressor": "yaw", "level": round(target.pose_offset, 6)}
+        columns = {"stressor": "yaw", "level": round(target.pose_offset, 6)}
+    stressor = STRESSORS.get(columns["stressor"])  # none: CLEAN
+    names = stressor.metrics if stressor else USUAL_METRICS
     depth = world.depth(target)
-    if condition.stressor == "motion" and depth is not None:
-        tracks = clean.scene.tracks
-        cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
-        here = world.scene.tracks
-        here = here[here["track"].isin(cars) & (here["frame"] == target.frame)]
-        inside = pixels_in_boxes(depth, target.camera, Box.rows(here), BOX_MARGIN)
-        dense = regions["dense"]
-        regions["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
-        regions["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
-        yield stress, MOTION_METRICS, regions
-        return
-    yield stress, tuple(name for name in METRICS if "dense" in regions or "sparse" in name), regions
-    if condition.stressor == CLEAN and target.split == "extrapolation" and depth is not None:
+    if depth is not None and {MOVING, STILL} & {METRICS[name].region for name in names}:
+        regions |= _by_motion(world, clean, target, depth, regions["dense"])
+    yield columns, _known(names, regions) or _known(USUAL_METRICS, regions), regions
+    if stress.kind == CLEAN and target.split == "extrapolation" and depth is not None:
         distance = edge_distance(depth)
         dense = regions["dense"]
-        for level in settings["levels"]["edges"]:
+        for level in levels_of("edges", settings):
             band = {"dense": Answer(dense.target, distance <= level, dense.support_ratio)}
-            yield {"stressor": "edges", "level": level}, ("psnr",), band
+            yield {"stressor": "edges", "level": level}, STRESSORS["edges"].metrics, band
+
+
+def _known(names: tuple[str, ...], regions: dict[str, Answer]) -> tuple[str, ...]:
+    """The metrics whose regions have an answer."""
+    return tuple(name for name in names if METRICS[name].region in regions)
+
+
+def _by_motion(
+    world: Answers, clean: Answers, target: Target, depth: np.ndarray, dense: Answer
+) -> dict[str, Answer]:
+    """Every pixel's answer, split by whether a car that drives in the clean scene fills it."""
+    tracks = clean.scene.tracks
+    cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
+    tracks = world.scene.tracks
+    boxes = Box.rows(tracks[tracks["track"].isin(cars) & (tracks["frame"] == target.frame)])
+    inside = pixels_in_boxes(depth, target.camera, boxes, BOX_MARGIN)
+    return {
+        MOVING: Answer(dense.target, inside, dense.support_ratio),
+        STILL: Answer(dense.target, ~inside, dense.support_ratio),
+    }
 
 
 def edge_distance(depth: np.ndarray) -> np.ndarray:
@@ -140,10 +155,14 @@ def _edges_down(inverse: np.ndarray) -> np.ndarray:
 
 
 def _spread_rows(
-    entry: MethodEntry, clean: Answers, renders: Path, settings: dict, common: dict
+    entry: MethodEntry,
+    clean: Answers,
+    renders: Path,
+    settings: dict[str, Any],
+    common: dict[str, str],
 ) -> list[dict[str, Any]]:
     """SPREADS of the half-way targets; none where a draw failed or there is one draw alone."""
-    folders = [renders / condition.key for condition in conditions(CLEAN, settings)]
+    folders = [renders / stress.key for stress in stresses(CLEAN, settings)]
     endings = [read_json(folder / OUTCOME_FILE)["status"] for folder in folders]
     if len(folders) < 2 or FAILED in endings:
         return []
@@ -155,8 +174,18 @@ def _spread_rows(
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
         supported = clean.reference(target).reprojected
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):
-            row = {**FINE, "metric": name, "stressor": CLEAN, "level": 0.0}
-            row |= {"support_ratio": supported.mean(), "valid_pixels": int(region.sum())}
-            row |= {"value": float(spread[region].mean()) if region.any() else np.nan}
-            rows.append({**common, **describe(entry, target), "seed": 0, **row})
+            rows.append(
+                {
+                    **common,
+                    **describe(entry, target),
+                    **FINE,
+                    "seed": 0,
+                    "metric": name,
+                    "stressor": CLEAN,
+                    "level": 0.0,
+                    "support_ratio": supported.mean(),
+                    "valid_pixels": int(region.sum()),
+                    "value": float(spread[region].mean()) if region.any() else np.nan,
+                }
+            )
     return rows

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -9,7 +10,7 @@ import pandas as pd
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import PAIR, paired_difference, summarise
-from geoevs.results.formats import latex_tabular, markdown_grid, with_interval
+from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
 from geoevs.results.tables import display_name, paper_values
 
 METHOD, FULL = "geo-evs", "default"
@@ -64,6 +65,12 @@ def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
     return pd.DataFrame(table)
 
 
+def write_ablation_table(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+    """Write `make_ablation_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
+    table = make_ablation_table(scores, settings)
+    write_formats(stem, table, ablation_markdown, ablation_latex)
+
+
 def column_name(split: str, metric: str) -> str:
     """A measure's column.
 
@@ -74,10 +81,10 @@ def column_name(split: str, metric: str) -> str:
 
 
 def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str, Any]:
-    mine, full = (rows[rows["variant"] == name] for name in (variant, FULL))
-    summary = summarise(mine, ["split", "metric"], **_bootstrap(settings))
+    of_variant, full = (rows[rows["variant"] == name] for name in (variant, FULL))
+    summary = summarise(of_variant, ["split", "metric"], **_bootstrap(settings))
     summary = summary.set_index(["split", "metric"])
-    row: dict[str, Any] = {"variant": variant, "seeds": mine["seed"].nunique()}
+    row: dict[str, Any] = {"variant": variant, "seeds": of_variant["seed"].nunique()}
     pairs = 0
     printed = paper_values("ablation").get(variant, {})
     for split, metric in MEASURES:
@@ -86,13 +93,14 @@ def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str
             row[f"{name}_paper"] = printed.get(metric, math.nan)
         for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
             row[name + suffix] = summary[column].get((split, metric), math.nan)
-        others = _of(mine, split, metric) if variant != FULL else mine[:0]
+        others = _of(of_variant, split, metric) if variant != FULL else of_variant[:0]
         difference = paired_difference(_of(full, split, metric), others, **_bootstrap(settings))
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
-        row[f"{name}_seed_sd"] = _of(mine, split, metric).groupby("seed")["value"].mean().std()
+        by_seed = _of(of_variant, split, metric).groupby("seed")["value"]
+        row[f"{name}_seed_sd"] = by_seed.mean().std()
         pairs += difference.pairs
-    row["failed"] = len(mine[mine["status"] == FAILED].drop_duplicates(PAIR))
+    row["failed"] = len(of_variant[of_variant["status"] == FAILED].drop_duplicates(PAIR))
     row["note"] = _note(variant, row["failed"], pairs)
     return row
 

@@ -1,10 +1,12 @@
 """What every method cost: time, memory and size, beside the tables that say how good it is."""
 
+from pathlib import Path
+
 import pandas as pd
 
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.tables import display_name, is_control
 
 COLUMNS = {
@@ -54,6 +56,11 @@ def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(table)
+
+
+def write_cost_table(stem: Path, costs: pd.DataFrame) -> None:
+    """Write `make_cost_table` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_cost_table(costs), cost_markdown)
 
 
 def _joined_notes(fits: pd.DataFrame) -> str:

@@ -1,19 +1,68 @@
 """Tables for people: Markdown and LaTeX, with intervals, flags and the paper's numbers."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
+from geoevs.core.files import write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.tables import TableSpec, display_name
+from geoevs.results.tables import TableSpec, display_name, make_table, table_spec
 
 LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than the floor, the
 control mean-colour. ∞ = exact in some frame. `floor` = the same distance between true images of
 other instants. Empty = not run, or not measurable here.
 """
+
+
+Text = Callable[[pd.DataFrame], str]
+"""From a table to how people read it."""
+
+
+def write_table(
+    stem: Path,
+    name: str,
+    scores: pd.DataFrame,
+    settings: dict[str, Any],
+    sets: pd.DataFrame | None = None,
+) -> None:
+    """Write one of TABLES as CSV, Markdown and LaTeX.
+
+    Args:
+        stem: the path without suffix.
+        name: one of TABLES.
+        scores: score rows.
+        settings: the config's `tables` section.
+        sets: rows of distances between sets, if there are any.
+
+    Raises:
+        GeoEvsError: there is no such table, or rows come from different protocols.
+    """
+    spec = table_spec(name)
+    table = make_table(name, scores, settings, sets)
+    write_formats(stem, table, partial(to_markdown, spec), partial(to_latex, spec))
+
+
+def write_formats(
+    stem: Path, table: pd.DataFrame, markdown: Text, latex: Text | None = None
+) -> None:
+    """Write a table as CSV, Markdown and, where it has that form, LaTeX.
+
+    Args:
+        stem: the path without suffix.
+        table: what the CSV holds.
+        markdown: makes text of it.
+        latex: likewise, or None.
+    """
+    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".md"), markdown(table))
+    if latex is not None:
+        write_text(stem.with_suffix(".tex"), latex(table))
 
 
 def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
@@ -65,9 +114,13 @@ def latex_tabular(
 
 def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     lacking = {why.partition(":")[0] for why in _unmeasured(rows)}
-    shown = [m for m in (*spec.metrics, *spec.set_metrics) if m in lacking or _has_content(rows, m)]
+    metrics = [
+        metric
+        for metric in (*spec.metrics, *spec.set_metrics)
+        if metric in lacking or _has_content(rows, metric)
+    ]
     header = ["method", *(["bin"] if spec.bins else [])]
-    for metric in shown:
+    for metric in metrics:
         if f"{metric}_paper" in rows:
             header.append(f"{metric} {arrow(metric)} paper")
         header.append(f"{metric} {arrow(metric)}")
@@ -78,7 +131,7 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         name = display_name(row["method"], row["variant"])
         line = [f"*{name}*" if row["group"] == "control" else name]
         line += [row["bin"]] if spec.bins else []
-        for metric in shown:
+        for metric in metrics:
             if f"{metric}_paper" in rows:
                 line.append(number(metric, row[f"{metric}_paper"]))
             without = metric in lacking and row["unmeasured"]

@@ -1,5 +1,6 @@
 """Whether methods come in the paper's order here: Kendall's tau for every table of methods."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.stats import kendalltau
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import redraw
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.tables import display_name, paper_values, table_spec
 
 RANKED_TABLES = ("extrapolation", "interpolation")
@@ -51,6 +52,11 @@ def make_rank_agreement(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
             if any(metric in printed for printed in paper_values(table).values())
         ]
     )
+
+
+def write_rank_agreement(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+    """Write `make_rank_agreement` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_rank_agreement(scores, settings), rank_agreement_markdown)
 
 
 def rank_agreement_markdown(table: pd.DataFrame) -> str:

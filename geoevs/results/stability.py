@@ -18,13 +18,24 @@ from geoevs.results.tables import FLOOR, display_name, is_control
 ENTRANT = ["dataset", "method", "variant"]
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
-    *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
-    *("mean", "low", "high", "change", "change_low", "change_high"),
-    *("relative_degradation", "worst_decile", "failure_rate", "n"),
+    *ENTRANT,
+    "name",
+    "control",
+    "stressor",
+    "level",
+    "metric",
+    "mean",
+    "low",
+    "high",
+    "change",
+    "change_low",
+    "change_high",
+    "relative_degradation",
+    "worst_decile",
+    "failure_rate",
+    "n",
 ]
-BREAKING_COLUMNS = [
-    *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead"),
-]
+BREAKING_COLUMNS = [*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead"]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""
 
@@ -118,16 +129,15 @@ def _floor(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _world(scores: pd.DataFrame) -> pd.Series:
-    """The level of the stressor that made a row's world; NaN is the clean one."""
-    worlds = [name for name, stressor in STRESSORS.items() if stressor.acts_on == "world"]
-    return scores["level"].where(scores["stressor"].isin(worlds))
+    """The stressor and level that made a row's world; empty is the clean one."""
+    worlds = [name for name, stressor in STRESSORS.items() if stressor.kind == "world"]
+    names = scores["stressor"].astype(str) + " " + scores["level"].astype(str)
+    return names.where(scores["stressor"].isin(worlds), "")
 
 
 def _own_mildest() -> list[str]:
     """Stressors whose mildest level takes the place of CLEAN, because the truth differs."""
-    return [
-        name for name, stressor in STRESSORS.items() if stressor.acts_on in ("world", "targets")
-    ]
+    return [name for name, stressor in STRESSORS.items() if stressor.kind in ("world", "targets")]
 
 
 def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
@@ -204,9 +214,16 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
         for (method, variant), curve in entrants.items():
             if is_control(method) or not controls:
                 continue
-            row = {"dataset": dataset, "method": method, "variant": variant}
-            row |= {"stressor": stressor, "metric": metric}
-            table.append(row | _breaking_point(curve, controls, settings["confidence"]))
+            table.append(
+                {
+                    "dataset": dataset,
+                    "method": method,
+                    "variant": variant,
+                    "stressor": stressor,
+                    "metric": metric,
+                    **_breaking_point(curve, controls, settings["confidence"]),
+                }
+            )
     return pd.DataFrame(table, columns=BREAKING_COLUMNS)
 
 

@@ -1,7 +1,6 @@
 """The audit's rows, on the tiny scene whose truth is a closed form."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from geoevs import layout
@@ -30,7 +29,7 @@ def rows(stage, tmp_path_factory):
             picture = answers.truth(target) + 0.1 * (method == "bright")
             write_image(renders / f"{target.key}.png", picture)
     entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
-    return pd.DataFrame(audit_rows(answers, entries, seed=0))
+    return audit_rows(answers, entries, seed=0)
 
 
 def test_every_metric_stands_beside_its_twin(rows):

@@ -34,6 +34,8 @@ rule scores:
         in_run(layout.SCORES),
     log:
         in_run("logs/scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
@@ -45,6 +47,8 @@ rule costs:
         in_run(layout.COSTS),
     log:
         in_run("logs/costs.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
@@ -85,6 +89,8 @@ rule set_scores:
         in_run(layout.SET_SCORES),
     log:
         in_run("logs/set_scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 

@@ -21,7 +21,7 @@ def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
     lowest = re.findall(r"lowest +9: (\S+)", text)
     assert len(lowest) == 3
     assert all(path.endswith("/000000.png") and "/grey/" in path for path in lowest)
-    assert "commit    abc, seed 0, protocol f" in text
+    assert "commit    abc, seed 0, protocol 7 (fingerprint f)" in text
     command = shlex.split(lines[-1].removeprefix("rerun"))
     assert command[:3] == ["snakemake", "--cores", "2"]
     assert command[3:6] == ["--configfile", "config.yaml", "other.yaml"]
