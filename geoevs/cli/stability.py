@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, SceneFolder, TableSettings, parse_json, read_rows
+from geoevs.cli.arguments import (
+    Dataset,
+    Out,
+    Run,
+    SceneFolder,
+    SceneInRun,
+    TableSettings,
+    parse_json,
+    read_rows,
+)
 
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
 Group = Annotated[str, typer.Option(help="The stressor, or clean.")]
@@ -73,8 +82,8 @@ def stability_render(
 
 def stability_score(
     run: Run,
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
-    scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    dataset: Dataset,
+    scene: SceneInRun,
     method: Method,
     group: Group,
     settings: Settings,
@@ -86,9 +95,10 @@ def stability_score(
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.stability_scoring import score_stresses
+    from geoevs.run import Answers
 
-    entry, section = MethodEntry(method, variant, {}, seed), parse_json("--settings", settings)
-    write_parquet(out, score_stresses(entry, group, run, dataset, scene, section))
+    entry, clean = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    write_parquet(out, score_stresses(entry, group, clean, parse_json("--settings", settings)))
 
 
 def stability_table(

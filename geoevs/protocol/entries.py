@@ -13,7 +13,10 @@ ORACLES = (REFERENCE, TRUTH)
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
-OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_memory"}
+FINE = {"status": OK, "stage": "", "reason": "", "log": ""}
+"""How a step ended that went well (see `failed`)."""
+
+OUTCOME = {*FINE, "threads", "peak_memory", "gpu_memory"}
 """What `fit.json` and `render.json` say of every set of sources, besides costs."""
 
 
@@ -34,12 +37,12 @@ class MethodEntry:
     @property
     def name(self) -> str:
         """Its name in the config: METHOD or METHOD.VARIANT."""
-        return self.method if self.variant == "default" else f"{self.method}.{self.variant}"
+        return label_of(self.method, self.variant)
 
     @property
     def label(self) -> str:
-        """Its name in paths and tables: that in the config, then the seed unless it is 0."""
-        return self.name if self.seed == 0 else f"{self.name}.seed{self.seed}"
+        """Its name in paths and tables (see `label_of`)."""
+        return label_of(self.method, self.variant, self.seed)
 
     @classmethod
     def parse(
@@ -48,6 +51,26 @@ class MethodEntry:
         """An entry from its name in the config, `METHOD` or `METHOD.VARIANT`."""
         method, _, variant = name.partition(".")
         return cls(method, variant or "default", options, seed, training)
+
+
+def label_of(method: str, variant: str = "default", seed: int = 0) -> str:
+    """An entrant's name in paths and tables: that in the config, then the seed unless it is 0.
+
+    >>> label_of("geo-evs"), label_of("geo-evs", "v1", 2)
+    ('geo-evs', 'geo-evs.v1.seed2')
+    """
+    name = method if variant == "default" else f"{method}.{variant}"
+    return name if seed == 0 else f"{name}.seed{seed}"
+
+
+def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
+    """How a step ended that failed: at which stage, why in one line, and where its output is."""
+    return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
+
+
+def cause(outcome: dict[str, Any]) -> dict[str, Any]:
+    """What rows say of why they have no value: stage, reason and log, empty if all went well."""
+    return {name: outcome[name] for name in ("stage", "reason", "log")}
 
 
 def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:

@@ -13,6 +13,7 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, whole_file
 from geoevs.protocol.entries import MethodEntry
+from geoevs.scenes.camera import view_key
 
 SHOWN = 3
 """How many of the worst and of the best views are named."""
@@ -152,9 +153,9 @@ class Record:
             for row in rows
         )
         return [
-            self.path(f"logs/{step}/{{dataset}}/{{scene}}/{{label}}.log", *fit)
+            self.path(pattern, *fit)
             for fit in fits
-            for step in ("fit", "render")
+            for pattern in (layout.FIT_LOG, layout.RENDER_LOG)
         ]
 
     def extremes(self, rows: pd.DataFrame) -> Iterator[str]:
@@ -162,7 +163,7 @@ class Record:
         for title, row in ranked(rows):
             label = MethodEntry(row.method, row.variant, {}, int(row.seed)).label
             folder = self.path(layout.RENDERS, row.dataset, row.scene, label)
-            yield f"{title:9} {row.value:.4g}: {folder}/{row.target}/{row.frame:06d}.png"
+            yield f"{title:9} {row.value:.4g}: {folder}/{view_key(row.target, row.frame)}.png"
 
     def pictures(self, dataset: str, label: str) -> Iterator[str]:
         """Where an entrant's pictures lie, and what scored them."""

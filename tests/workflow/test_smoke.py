@@ -1,12 +1,9 @@
-import os
 import random
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -326,12 +323,11 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     arguments = (*workspace.SMOKE, "failing.yaml", "--", *workspace.RESUMED)
     moments = random.Random(0)
     for _ in range(3):
-        process = workspace.start(*arguments)
-        time.sleep(moments.uniform(6, 14))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        left = workspace.kill_at_work(moments.uniform(0, 8), *arguments)
+        assert left & workspace.half_made()
     last = workspace.snakemake(*arguments)
     assert last.returncode == 0, last.stderr[-3000:]
+    assert not workspace.half_made()
     expected = files(finished.folder / "results/smoke")
     found = files(workspace.folder / "results/smoke")
     assert found.keys() == expected.keys()
