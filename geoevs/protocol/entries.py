@@ -11,6 +11,15 @@ REFERENCE, TRUTH = "reference", "truth"
 ORACLES = (REFERENCE, TRUTH)
 """Controls that copy what scores a method. No adapter can see that, so they are none."""
 
+CONTROL = "control"
+"""The paradigm of ORACLES, and of methods that only mark a floor or a simple baseline."""
+
+FLOOR = "mean-colour"
+"""The control that every method should beat; those that do not are flagged."""
+
+DEFAULT = "default"
+"""The variant of an entrant whose name in the config is its method's alone."""
+
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
 OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_memory"}
@@ -26,20 +35,20 @@ class MethodEntry:
     """
 
     method: str
-    variant: str = "default"
+    variant: str = DEFAULT
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     training: str = ""
 
     @property
     def name(self) -> str:
-        """Its name in the config: METHOD or METHOD.VARIANT."""
-        return self.method if self.variant == "default" else f"{self.method}.{self.variant}"
+        """Its name in the config (see `name_of`)."""
+        return name_of(self.method, self.variant)
 
     @property
     def label(self) -> str:
-        """Its name in paths and tables: that in the config, then the seed unless it is 0."""
-        return self.name if self.seed == 0 else f"{self.name}.seed{self.seed}"
+        """Its name in paths (see `label_of`)."""
+        return label_of(self.method, self.variant, self.seed)
 
     @classmethod
     def parse(
@@ -47,7 +56,26 @@ class MethodEntry:
     ) -> "MethodEntry":
         """An entry from its name in the config, `METHOD` or `METHOD.VARIANT`."""
         method, _, variant = name.partition(".")
-        return cls(method, variant or "default", options, seed, training)
+        return cls(method, variant or DEFAULT, options, seed, training)
+
+
+def name_of(method: str, variant: str = DEFAULT) -> str:
+    """An entrant's name in the config, METHOD or METHOD.VARIANT.
+
+    >>> name_of("mine"), name_of("mine", "wide")
+    ('mine', 'mine.wide')
+    """
+    return method if variant == DEFAULT else f"{method}.{variant}"
+
+
+def label_of(method: str, variant: str = DEFAULT, seed: int = 0) -> str:
+    """An entrant's name in paths: that in the config, then the seed unless it is 0.
+
+    >>> label_of("mine", "wide"), label_of("mine", seed=2)
+    ('mine.wide', 'mine.seed2')
+    """
+    name = name_of(method, variant)
+    return name if seed == 0 else f"{name}.seed{seed}"
 
 
 def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:
