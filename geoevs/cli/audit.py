@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, parse_json, read_rows
+from geoevs.cli.arguments import (
+    EntrantsFile,
+    Out,
+    Run,
+    TablesSection,
+    parse_json,
+    read_rows,
+    table_settings,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -40,7 +48,8 @@ def audit_scene(
 
 def audit_page(
     rows: Annotated[Path, typer.Option(help="The audit's rows.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="The folder for its page, tables and charts.")],
 ) -> None:
     """Say in words, tables and charts how far the sparse metric can be trusted."""
@@ -49,8 +58,10 @@ def audit_page(
     from geoevs.results.audit_chart import agreement_chart, support_chart
     from geoevs.results.audit_page import audit_markdown
     from geoevs.results.chart_pages import write_page
+    from geoevs.results.entrants import Entrants
 
-    tables = audit_tables(read_rows(rows), parse_json("--settings", settings))
+    who = Entrants.read(entrants)
+    tables = audit_tables(read_rows(rows), table_settings(settings), who)
     for name, table in tables.items():
         write_text(out / f"{name}.csv", table.to_csv(index=False))
     charts = {"agreement": agreement_chart, "support_bias": support_chart}

@@ -8,14 +8,16 @@ import typer
 
 from geoevs.cli.arguments import (
     Costs,
+    EntrantsFile,
     Out,
     Run,
     Scores,
     SetScores,
-    TableSettings,
+    TablesSection,
     parse_json,
     read_rows,
     scene_pairs,
+    table_settings,
 )
 from geoevs.core.errors import GeoEvsError
 
@@ -25,7 +27,7 @@ DatasetName = Annotated[str, typer.Option(help="The data set; left out, the firs
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    commands = collect, grid, chart, report, manifest, install_weights, failures
+    commands = collect, entrants, grid, chart, report, manifest, install_weights, failures
     for command in (*commands, why, compare):
         app.command()(command)
 
@@ -56,6 +58,19 @@ def collect(
     write_bytes(out, buffer.getvalue())
 
 
+def entrants(
+    options: Annotated[
+        str, typer.Option(help="The options of every entrant, by its name in the config, as JSON.")
+    ],
+    out: Out,
+) -> None:
+    """Write down what each entrant says of itself: name, paradigm, prior, needs, citation."""
+    from geoevs.core.files import write_json
+    from geoevs.protocol.entrants import describe_entrants
+
+    write_json(out, describe_entrants(parse_json("--options", options)))
+
+
 def grid(
     name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
     run: Run,
@@ -80,7 +95,8 @@ def chart(
     name: Annotated[str, typer.Argument(help="The table whose views to chart.")],
     scores: Scores,
     costs: Costs,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
     sets: SetScores = None,
 ) -> None:
@@ -88,10 +104,11 @@ def chart(
     from geoevs.core.files import write_text
     from geoevs.results.chart_pages import draw_page, write_page
     from geoevs.results.charts import speed_accuracy
+    from geoevs.results.entrants import Entrants
 
-    parsed = parse_json("--settings", settings)
+    parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets)
-    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed, distances)
+    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed, who, distances)
     page = draw_page(name, table, parsed)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
     write_page(out, page)

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, SceneFolder, TableSettings, parse_json, read_rows
+from geoevs.cli.arguments import (
+    EntrantsFile,
+    Out,
+    Run,
+    SceneFolder,
+    TablesSection,
+    parse_json,
+    read_rows,
+    table_settings,
+)
 
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
 Group = Annotated[str, typer.Option(help="The stressor, or clean.")]
@@ -100,17 +109,20 @@ def stability_score(
 
 def stability_table(
     scores: Annotated[Path, typer.Option(help="The stability suite's score rows.")],
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
     from geoevs.core.files import write_text
+    from geoevs.results.entrants import Entrants
     from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
     from geoevs.results.stability_page import stability_markdown
 
-    rows, section = read_rows(scores), parse_json("--settings", settings)
-    broken, spread = breaking_points(rows, section), seed_spread(rows, section)
-    made = make_stability_table(rows, section)
+    given = read_rows(scores), table_settings(settings), Entrants.read(entrants)
+    made, broken, spread = (
+        make(*given) for make in (make_stability_table, breaking_points, seed_spread)
+    )
     for name, table in (("stability", made), ("breaking_points", broken), ("seed_spread", spread)):
         write_text(out / f"{name}.csv", table.to_csv(index=False))
     write_text(out / "breaking_points.md", stability_markdown(made, broken, spread))

@@ -8,11 +8,12 @@ import typer
 
 from geoevs.cli.arguments import (
     Costs,
+    EntrantsFile,
     Scores,
     SetScores,
-    TableSettings,
-    parse_json,
+    TablesSection,
     read_rows,
+    table_settings,
 )
 
 if TYPE_CHECKING:
@@ -45,40 +46,49 @@ def _write(
 def table(
     name: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
     scores: Scores,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: TableOut,
     sets: SetScores = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
     from functools import partial
 
+    from geoevs.results.entrants import Entrants
     from geoevs.results.formats import to_latex, to_markdown
-    from geoevs.results.tables import make_table, table_spec
+    from geoevs.results.table_specs import table_spec
+    from geoevs.results.tables import make_table
 
     spec = table_spec(name)
     distances = None if sets is None else read_rows(sets)
-    made = make_table(name, read_rows(scores), parse_json("--settings", settings), distances)
+    who = Entrants.read(entrants)
+    made = make_table(name, read_rows(scores), table_settings(settings), who, distances)
     _write(out, made, partial(to_markdown, spec), partial(to_latex, spec))
 
 
-def ablation_table(scores: Scores, settings: TableSettings, out: TableOut) -> None:
-    """Compare the variants of Geo-EVS with the full model, as CSV, Markdown and LaTeX."""
+def ablation_table(
+    scores: Scores, settings: TablesSection, entrants: EntrantsFile, out: TableOut
+) -> None:
+    """Compare a method's variants with the full model, as CSV, Markdown and LaTeX."""
     from geoevs.results.ablation import ablation_latex, ablation_markdown, make_ablation_table
+    from geoevs.results.entrants import Entrants
 
-    made = make_ablation_table(read_rows(scores), parse_json("--settings", settings))
+    who = Entrants.read(entrants)
+    made = make_ablation_table(read_rows(scores), table_settings(settings), who)
     _write(out, made, ablation_markdown, ablation_latex)
 
 
-def cost_table(costs: Costs, out: TableOut) -> None:
+def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Make the table of times, memory and sizes as CSV and Markdown."""
     from geoevs.results.costs import cost_markdown, make_cost_table
+    from geoevs.results.entrants import Entrants
 
-    _write(out, make_cost_table(read_rows(costs)), cost_markdown)
+    _write(out, make_cost_table(read_rows(costs), Entrants.read(entrants)), cost_markdown)
 
 
 def geometry_table(
     scores: Annotated[Path, typer.Option(help="The run's depth-scores.parquet.")],
-    settings: TableSettings,
+    settings: TablesSection,
     out: TableOut,
 ) -> None:
     """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
@@ -88,21 +98,26 @@ def geometry_table(
         make_geometry_table,
     )
 
-    made = make_geometry_table(read_rows(scores), parse_json("--settings", settings))
+    made = make_geometry_table(read_rows(scores), table_settings(settings))
     _write(out, made, geometry_markdown, geometry_latex)
 
 
-def complexity_table(scores: Scores, costs: Costs, out: TableOut) -> None:
+def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
     from geoevs.results.complexity import complexity_markdown, make_complexity_table
+    from geoevs.results.entrants import Entrants
 
-    _write(out, make_complexity_table(read_rows(scores), read_rows(costs)), complexity_markdown)
+    who = Entrants.read(entrants)
+    _write(
+        out, make_complexity_table(read_rows(scores), read_rows(costs), who), complexity_markdown
+    )
 
 
 def complexity_chart(
     scores: Scores,
     costs: Costs,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
@@ -110,17 +125,18 @@ def complexity_chart(
     from geoevs.results.chart_pages import write_page
     from geoevs.results.complexity import size_curves
     from geoevs.results.complexity_chart import size_chart
+    from geoevs.results.entrants import Entrants
 
-    parsed = parse_json("--settings", settings)
-    table = size_curves(read_rows(scores), read_rows(costs), parsed)
+    who = Entrants.read(entrants)
+    table = size_curves(read_rows(scores), read_rows(costs), table_settings(settings), who)
     page = size_chart(table)
     write_text(out.with_suffix(".csv"), table.to_csv(index=False))
     write_page(out, page)
 
 
-def rank_agreement(scores: Scores, settings: TableSettings, out: TableOut) -> None:
+def rank_agreement(scores: Scores, settings: TablesSection, out: TableOut) -> None:
     """Compare the order of methods with the paper's, as CSV and Markdown."""
     from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
 
-    made = make_rank_agreement(read_rows(scores), parse_json("--settings", settings))
+    made = make_rank_agreement(read_rows(scores), table_settings(settings))
     _write(out, made, rank_agreement_markdown)

@@ -56,11 +56,19 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     _check_geometry(config, files)
     _check_methods(config, files)
     _check_stability(config, files)
+    _check_tables(config, files)
+
+
+def _check_tables(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    tables = config["tables"]
     for name in ("pose_bins", "support_bins"):
-        edges = config["tables"][name]
-        if any(low >= high for low, high in itertools.pairwise(edges)):
+        if any(low >= high for low, high in itertools.pairwise(tables[name])):
             where = locate(("tables", name), files)
             raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
+    with located(("tables", "ablation"), files):
+        method, methods = tables["ablation"], find_methods()
+        if method not in methods:
+            raise GeoEvsError(f"there is no method '{method}'; {did_you_mean(method, methods)}")
 
 
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:

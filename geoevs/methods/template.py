@@ -28,7 +28,7 @@ class Method:
     Fields with a default are options, set in the config; what `fit` learns has `init=False`.
     """
 
-    # Tables print this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
+    # Tables show this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
     info: ClassVar[MethodInfo] = MethodInfo("{name}", paradigm="reconstruction")
     views: Views = field(init=False)
 

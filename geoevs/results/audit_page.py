@@ -5,7 +5,6 @@ import math
 import pandas as pd
 
 from geoevs.results.formats import markdown_grid
-from geoevs.results.tables import display_name
 
 RANKS_WELL = 0.8
 """The tau from which on methods are said to be ranked well: nine of ten pairs in the same order."""
@@ -108,7 +107,7 @@ def _gain(table: pd.DataFrame) -> list[str]:
     most = rows.loc[rows["gain"].idxmax()]
     return [
         f"**Leaks.** Scored on the points that it may read, "
-        f"{display_name(most['method'], most['variant'])} gains {_interval(most, 'gain')} dB over "
+        f"{most['name']} gains {_interval(most, 'gain')} dB over "
         f"the split that keeps them apart; the median entrant gains {rows['gain'].median():+.2f}."
     ]
 

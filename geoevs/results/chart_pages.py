@@ -14,7 +14,8 @@ from geoevs.core.files import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.charts import COSTS, SPEED, higher_is_better
-from geoevs.results.tables import bin_names, table_spec
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import bin_names, table_spec
 
 WIDTH, HEIGHT = 300, 230
 LABEL_SIZE = 11
@@ -52,7 +53,7 @@ CHOSEN = alt.selection_point(fields=["name"], bind="legend")
 FADED = alt.when(CHOSEN).then(alt.value(0.9)).otherwise(alt.value(0.08))
 
 
-def draw_page(name: str, table: pd.DataFrame, settings: dict[str, Any]) -> alt.VConcatChart:
+def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VConcatChart:
     """A page of panels: for every data set and metric a row of what accuracy costs.
 
     Where a table is divided by edges, rows go over its bins, with the curve over them before.

@@ -6,7 +6,6 @@ import pandas as pd
 
 from geoevs.results.chart_pages import WIDTH, layered, stacked
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE
-from geoevs.results.tables import display_name
 
 COLUMNS = 4
 """Panels side by side."""
@@ -29,9 +28,9 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         note = alt.Chart(pd.DataFrame({"note": [list(NOTHING)]})).mark_text(fontSize=13)
         return alt.vconcat(note.encode(text="note:N").properties(width=2 * WIDTH, height=80))
     rows = []
-    for (dataset, method), mine in table.groupby(["dataset", "method"], sort=False):
+    for (dataset, _), mine in table.groupby(["dataset", "method"], sort=False):
         panels = [_panel(some, str(scene)) for scene, some in mine.groupby("scene", sort=False)]
-        title = f"{dataset}: {display_name(method, CHOSEN)}"
+        title = f"{dataset}: {mine['name'].iloc[0]}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
     return stacked(rows, title)
@@ -40,7 +39,7 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
 def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:
     """The metrics of one scene over size: a line through fixed sizes, and the chosen one."""
     data = fits.assign(kind=np.where(fits["variant"] == CHOSEN, "chosen", "fixed"))
-    data = data.drop(columns=["dataset", "method"])
+    data = data.drop(columns=["dataset", "method", "name"])
     x = alt.X("primitives:Q", title="primitives")
     x = x.scale(type="log", nice=False, padding=15).axis(tickCount=5, format="~s")
     y = alt.Y("mean:Q", title="dB ↑").scale(zero=False)

@@ -15,7 +15,7 @@ from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target, read_targets
 from geoevs.protocol.truth import dense_truth
-from geoevs.results.tables import TableSpec, table_spec
+from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.scenes.store import Scene
 
 TILE_WIDTH = 256

@@ -6,10 +6,11 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.stability_scoring import SPREADS
+from geoevs.results.entrants import ENTRANT
 from geoevs.results.formats import markdown_grid, with_interval
-from geoevs.results.stability import ENTRANT, JUDGED_BY
-from geoevs.results.tables import FLOOR, display_name, is_control
+from geoevs.results.stability import JUDGED_BY
 
 BREAKING_LEGEND = """The first level at which a method's mean is below that of the best control
 under the same stress [over resamples of frames and draws: from the mildest to the hardest].
@@ -40,13 +41,15 @@ def stability_markdown(curves: pd.DataFrame, broken: pd.DataFrame, spread: pd.Da
         parts.append(f"## {dataset}, {metric}\n\n{grid}\n")
     parts += ["# What the hardest level leaves\n", LEFT_LEGEND]
     hardest = hardest_levels(curves)
+    names, controls = hardest["name"], hardest["control"].astype(bool)
+    hardest = hardest.assign(name=names.mask(controls, "*" + names + "*"))
     for (dataset, metric), rows in hardest.groupby(["dataset", "metric"], sort=False):
         parts.append(f"## {dataset}, {metric}\n\n{_grid(rows, _left, _with_level)}\n")
     parts += ["# Seed spread\n", SPREAD_LEGEND]
     body = []
-    for key, rows in spread.groupby(ENTRANT, sort=False):
+    for _, rows in spread.groupby(ENTRANT, sort=False):
         means = rows.set_index("metric")["mean"]
-        body.append([display_name(*key[1:]), *(f"{means[name]:.2f}" for name in SPREADS)])
+        body.append([rows["name"].iloc[0], *(f"{means[name]:.2f}" for name in SPREADS)])
     parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
     return "\n".join(parts)
 
@@ -67,11 +70,9 @@ def _grid(rows: pd.DataFrame, cell: Cell, heading: Cell) -> str:
     """A line for every entrant, a column for every stressor."""
     columns = {row["stressor"]: heading(row) for row in rows.to_dict("records")}
     body = []
-    for (method, variant), mine in rows.groupby(["method", "variant"], sort=False):
+    for _, mine in rows.groupby(["method", "variant"], sort=False):
         cells = {row["stressor"]: cell(row) for row in mine.to_dict("records")}
-        name = display_name(method, variant)
-        name = f"*{name}*" if is_control(method) else name
-        body.append([name, *(cells.get(stressor, "") for stressor in columns)])
+        body.append([mine["name"].iloc[0], *(cells.get(stressor, "") for stressor in columns)])
     return markdown_grid(["method", *columns.values()], body)
 
 

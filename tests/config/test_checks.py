@@ -38,11 +38,11 @@ methods:
   reference: {}
   reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}
   mean-colour: null
-tables:
-  pose_bins: [0, 10]
-  support_bins: [0, 0.1]
-  resamples: 100
-  confidence: 0.95
+tables: {
+  pose_bins: [0, 10],
+  support_bins: [0, 0.1],
+  resamples: 100, ablation: reproject,
+  confidence: 0.95}
 geometry:
   model: lidar
   weights: null
@@ -157,7 +157,7 @@ MISTAKES = {
     "unknown nested key": (
         "  pose_bins: [0, 10]",
         "  pose_bin: [0, 10]",
-        "23: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: confidence, ",
+        "23: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: ablation, ",
     ),
     "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
     "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
@@ -292,6 +292,16 @@ MISTAKES = {
         "23: the edges must rise; sort them and drop repeats",
     ),
     "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "24: the edges must rise"),
+    "ablation of nobody": (
+        "ablation: reproject",
+        "ablation: reproject.wide",
+        "25: there is no method 'reproject.wide'; did you mean 'reproject'",
+    ),
+    "ablation of an oracle": (
+        "ablation: reproject",
+        "ablation: truth",
+        "25: there is no method 'truth'; ",
+    ),
     "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "23: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),

@@ -29,7 +29,7 @@ from geoevs.protocol.stability import (
 )
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.manifest import cached_repository, hash_path
-from geoevs.results.tables import TABLES
+from geoevs.results.table_specs import TABLES
 from geoevs.scenes.scene import find_sources
 from snakemake.exceptions import WorkflowError
 

@@ -19,6 +19,7 @@ from geoevs.results.why_lookup import Cell
 
 BLANK = {"string": "", "int64": 0, "float64": math.nan}
 SETTINGS = {"pose_bins": [0, 30], "support_bins": [0, 0.1], "resamples": 50, "confidence": 0.9}
+SETTINGS |= {"ablation": "geo-evs"}
 ENTRANTS = {
     ("geo-evs", "default"): {0: 20.0, 1: 22.0},
     ("geo-evs", "v1"): {0: 19.0, 1: 20.0},
@@ -70,6 +71,7 @@ def run(rows, tmp_path):
         write_bytes(tmp_path / name, frame.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"geo-evs.v1": {"training": "v1"}}}
     config["training"] = {"steps": 9, "variants": {"v1": {"masks": "none"}}}
+    write_json(tmp_path / layout.ENTRANTS, {})
     write_json(tmp_path / layout.MANIFEST, {"commit": "abc", "seed": 0, "config": config})
     return tmp_path
 
