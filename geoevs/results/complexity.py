@@ -10,7 +10,7 @@ from geoevs.protocol.entries import DEFAULT, FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise
-from geoevs.results.entrants import SHOWN, Entrants
+from geoevs.results.entrants import INFO, Entrants
 from geoevs.results.formats import markdown_grid
 from geoevs.results.settings import TableSettings
 
@@ -79,7 +79,7 @@ def make_complexity_table(
             table.append({"dataset": dataset, "note": "no fixed size was run"})
     numbers = ["chosen", "psnr", "seconds", "best", "best_psnr", "best_seconds"]
     numbers += ["regret_db", "regret_seconds"]
-    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", *SHOWN]
+    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", *INFO]
     made = pd.DataFrame(table, columns=columns)
     return made.astype(dict.fromkeys(numbers, "float64"))
 

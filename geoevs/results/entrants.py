@@ -18,7 +18,7 @@ ENTRANT = ["dataset", "method", "variant"]
 
 
 @dataclass(frozen=True)
-class Shown:
+class Info:
     """What tables show of an entrant, each a column: see MethodInfo, whose needs are one text."""
 
     name: str
@@ -27,7 +27,8 @@ class Shown:
     needs: str = ""
 
 
-SHOWN = [field.name for field in fields(Shown)]
+INFO = [field.name for field in fields(Info)]
+"""Columns that tables have of it, behind their own."""
 
 
 class Entrants:
@@ -37,7 +38,7 @@ class Entrants:
     it, or its bare name.
     """
 
-    def __init__(self, described: Mapping[str, Shown]) -> None:
+    def __init__(self, described: Mapping[str, Info]) -> None:
         self._described = described
         self._names = Counter(self._plain_name(*_parted(name)) for name in described)
 
@@ -50,7 +51,7 @@ class Entrants:
         """
         found = read_json(path)
         try:
-            return cls({name: Shown(**{k: row[k] for k in SHOWN}) for name, row in found.items()})
+            return cls({name: Info(*(row[key] for key in INFO)) for name, row in found.items()})
         except (AttributeError, KeyError, TypeError) as error:
             raise GeoEvsError(
                 f"{path} does not say who plays; delete it and make it again"
@@ -63,25 +64,25 @@ class Entrants:
 
     def is_control(self, method: str, variant: str = DEFAULT) -> bool:
         """Whether an entrant only marks a floor, a ceiling or a simple baseline."""
-        return self._shown(method, variant).paradigm == CONTROL
+        return self._info(method, variant).paradigm == CONTROL
 
     def columns(self, method: str, variant: str = DEFAULT) -> dict[str, str]:
-        """The cells of an entrant, by SHOWN."""
-        return asdict(self._shown(method, variant)) | {"name": self.name(method, variant)}
+        """The cells of an entrant, by INFO."""
+        return asdict(self._info(method, variant)) | {"name": self.name(method, variant)}
 
     def describe(self, table: pd.DataFrame) -> pd.DataFrame:
-        """A table with the columns `method` and `variant`, if any, and SHOWN behind its own."""
+        """A table with the columns `method` and `variant`, if any, and INFO behind its own."""
         pairs = zip(table["method"], table["variant"], strict=True)
         cells = [self.columns(method, variant or DEFAULT) for method, variant in pairs]
-        return table.join(pd.DataFrame(cells, columns=SHOWN, index=table.index))
+        return table.join(pd.DataFrame(cells, columns=INFO, index=table.index))
 
-    def _shown(self, method: str, variant: str) -> Shown:
-        unknown = Shown(**{"name": method} | paper_method(method))
+    def _info(self, method: str, variant: str) -> Info:
+        unknown = Info(**{"name": method} | paper_method(method))
         return self._described.get(name_of(method, variant), unknown)
 
     def _plain_name(self, method: str, variant: str) -> str:
         """The paper's name where it has one, else the method's own."""
-        name = paper_method(method).get("name") or self._shown(method, variant).name or method
+        name = paper_method(method).get("name") or self._info(method, variant).name or method
         return name if variant == DEFAULT else f"{name} ({variant})"
 
 

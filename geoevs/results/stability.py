@@ -13,7 +13,7 @@ from geoevs.protocol.stability import CLEAN
 from geoevs.protocol.stability_scoring import SPREADS
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.bootstrap import redraw, summarise
-from geoevs.results.entrants import ENTRANT, SHOWN, Entrants
+from geoevs.results.entrants import ENTRANT, INFO, Entrants
 from geoevs.results.settings import TableSettings
 
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
@@ -23,7 +23,7 @@ COLUMNS = [
     *("relative_degradation", "worst_decile", "failure_rate", "n"),
 ]
 BREAKING_COLUMNS = [
-    *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead", *SHOWN),
+    *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead", *INFO),
 ]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""

@@ -11,7 +11,7 @@ from geoevs.results.ablation import (
     column_name,
     make_ablation_table,
 )
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
 
 SETTINGS = TableSettings([], [], 200, 0.95, "geo-evs")
@@ -112,7 +112,7 @@ def test_the_config_says_which_method_is_ablated(rows):
             *values("v1", [90.0], method="geo-evs"),
         ),
         settings,
-        Entrants({"mine": Shown("Mine", "reconstruction"), "mine.small": Shown("Mine")}),
+        Entrants({"mine": Info("Mine", "reconstruction"), "mine.small": Info("Mine")}),
     )
     assert by_variant(made)["small"]["extrapolation_sparse_psnr_diff"] == 1.5
     assert made["method"].tolist() == ["mine", "mine"]

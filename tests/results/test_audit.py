@@ -9,11 +9,11 @@ from geoevs.results.audit import agreement, audit_tables, conditioning_gain
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.audit_page import audit_markdown
 from geoevs.results.chart_pages import page_png
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
 
 SETTINGS = TableSettings([], [], 100, 0.9, "geo-evs")
-ENTRANTS = Entrants({"a": Shown("A")})
+ENTRANTS = Entrants({"a": Info("A")})
 FRAMES = range(4)
 DENSE = {"mean-colour": 12.0, "a": 20.0, "b": 22.0, "c": 26.0}
 

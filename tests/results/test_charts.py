@@ -17,14 +17,14 @@ from geoevs.results.chart_pages import (
     page_png,
 )
 from geoevs.results.charts import COSTS, speed_accuracy
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES
 
 SETTINGS = TableSettings(
     [0, 10, 30], [0, 0.02, 0.1], resamples=100, confidence=0.9, ablation="geo-evs"
 )
-WHO = Entrants({name: Shown(name, "control") for name in ("mean-colour", "reproject")})
+WHO = Entrants({name: Info(name, "control") for name in ("mean-colour", "reproject")})
 # Seconds a view on two scenes, and sparse PSNR of two frames.
 ENTRANTS = {
     ("mean-colour", "default"): ((0.001, 0.001), (10.0, 12.0)),

@@ -7,12 +7,12 @@ import pytest
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_json
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.paper import paper_method, paper_values
 
 
 def test_names_are_the_papers_else_the_methods_own():
-    entrants = Entrants({"three-dgs": Shown("My 3DGS"), "mine.wide": Shown("Mine")})
+    entrants = Entrants({"three-dgs": Info("My 3DGS"), "mine.wide": Info("Mine")})
     assert entrants.name("three-dgs") == "3DGS"
     assert entrants.name("geo-evs", "v2") == "Geo-EVS (v2)"
     assert entrants.name("mine", "wide") == "Mine (wide)"
@@ -20,7 +20,11 @@ def test_names_are_the_papers_else_the_methods_own():
 
 
 def test_a_name_that_two_methods_have_tells_whose_it_is():
-    copies = {"mine": Shown("Mine"), "copy": Shown("Mine"), "copy.wide": Shown("Mine")}
+    copies = {
+        "mine": Info("Mine"),
+        "copy": Info("Mine"),
+        "copy.wide": Info("Mine"),
+    }
     entrants = Entrants(copies)
     assert entrants.name("mine") == "Mine [mine]"
     assert entrants.name("copy") == "Mine [copy]"
@@ -28,11 +32,11 @@ def test_a_name_that_two_methods_have_tells_whose_it_is():
 
 
 def test_a_nameless_method_has_its_bare_name():
-    assert Entrants({"mine.wide": Shown("")}).name("mine", "wide") == "mine (wide)"
+    assert Entrants({"mine.wide": Info("")}).name("mine", "wide") == "mine (wide)"
 
 
 def test_the_paradigm_alone_makes_a_control():
-    entrants = Entrants({"flat": Shown("Flat", "control"), "reproject": Shown("R", "diffusion")})
+    entrants = Entrants({"flat": Info("Flat", "control"), "reproject": Info("R", "diffusion")})
     assert entrants.is_control("flat")
     assert not entrants.is_control("flat", "other")
     assert not entrants.is_control("reproject")
@@ -41,7 +45,7 @@ def test_the_paradigm_alone_makes_a_control():
 
 def test_a_table_is_described_behind_its_own_columns():
     table = pd.DataFrame({"method": ["a", "b"], "variant": ["default", "wide"]}, index=[4, 2])
-    made = Entrants({"b.wide": Shown("B", "control", "none", "lidar")}).describe(table)
+    made = Entrants({"b.wide": Info("B", "control", "none", "lidar")}).describe(table)
     assert made.loc[4].tolist() == ["a", "default", "a", "", "", ""]
     assert made.loc[2].tolist() == ["b", "wide", "B (wide)", "control", "none", "lidar"]
     assert list(Entrants({}).describe(table[:0]))[2:] == [

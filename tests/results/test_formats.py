@@ -5,7 +5,7 @@ import pytest
 
 from geoevs.protocol.entries import FAILED
 from geoevs.results.costs import cost_markdown, make_cost_table
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.formats import LEGEND, to_latex, to_markdown
 from geoevs.results.table_specs import TableSpec
 
@@ -85,8 +85,8 @@ def test_bins_have_their_column_and_data_sets_their_own_tables():
 
 ENTRANTS = Entrants(
     {
-        "mean-colour": Shown("Mean colour", "control"),
-        "reproject": Shown("Reprojection", "control", "none", "lidar"),
+        "mean-colour": Info("Mean colour", "control"),
+        "reproject": Info("Reprojection", "control", "none", "lidar"),
     }
 )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geoevs.results.chart_pages import page_html
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
 from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
 from geoevs.results.stability_chart import curves, stability_curves
@@ -15,7 +15,7 @@ from geoevs.results.stability_page import stability_markdown
 CONTROL_NAMES = ("mean-colour", "nearest-view", "reproject-inpaint", "reproject-inpaint.all-frames")
 GIVEN = (
     TableSettings([], [], 200, 0.9, "geo-evs"),
-    Entrants({name: Shown(name.partition(".")[0], "control") for name in CONTROL_NAMES}),
+    Entrants({name: Info(name.partition(".")[0], "control") for name in CONTROL_NAMES}),
 )
 LEVELS = [0.1, 0.05, 0.01]
 

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import bin_labels
 from geoevs.results.tables import make_table
@@ -13,11 +13,11 @@ SETTINGS = TableSettings(
 )
 ENTRANTS = Entrants(
     {
-        "reproject": Shown("Reprojection", "control", "none", "lidar"),
-        "reference": Shown("Reference", "control"),
-        "mean-colour": Shown("Mean colour", "control"),
-        "geo-evs": Shown("Ours", "diffusion", "a latent prior", "lidar training"),
-        "zeta.wide": Shown("Zeta", "control"),
+        "reproject": Info("Reprojection", "control", "none", "lidar"),
+        "reference": Info("Reference", "control"),
+        "mean-colour": Info("Mean colour", "control"),
+        "geo-evs": Info("Ours", "diffusion", "a latent prior", "lidar training"),
+        "zeta.wide": Info("Zeta", "control"),
     }
 )
 PAPER = ["three-dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]

@@ -17,7 +17,7 @@ import vl_convert
 from geoevs import layout
 from geoevs.core.files import read_json, whole_file
 from geoevs.protocol.entries import label_of
-from geoevs.results.entrants import ENTRANT, SHOWN, Entrants
+from geoevs.results.entrants import ENTRANT, INFO, Entrants
 from geoevs.results.failures import Failure, run_failures
 from geoevs.results.report.markdown import markdown_html
 from geoevs.results.report.pictures import comparison, file_address
@@ -219,7 +219,7 @@ def table_html(rows: pd.DataFrame, entrants: Entrants) -> jinja2.utils.markupsaf
     Columns without any value are left out, who plays comes first, and controls are set in italics.
     """
     rows = rows.dropna(axis="columns", how="all")
-    rows = rows[sorted(rows, key=lambda name: name not in (*ENTRANT, *SHOWN))]
+    rows = rows[sorted(rows, key=lambda name: name not in (*ENTRANT, *INFO))]
     ends = {name for name in rows if name.endswith(("_low", "_high"))}
     ends = {name for name in ends if re.sub("_(low|high)$", "", name) in rows}
     shown = [name for name in rows if name not in ends]

@@ -9,7 +9,7 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_text
 from geoevs.protocol.targets import read_targets
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.report import page
 from geoevs.results.report.page import _exhibits, chart_of, make_page, table_html
 from geoevs.results.report.pictures import _unlike, comparison
@@ -143,7 +143,7 @@ def test_means_stand_with_their_interval_and_sort_by_their_value():
             **{"empty": [None, None], "note": ["<b>", ""], "gap_low": [1.0, 2.0]},
         }
     )
-    entrants = Entrants({"reproject": Shown("Reprojection", "control")})
+    entrants = Entrants({"reproject": Info("Reprojection", "control")})
     text = str(table_html(rows, entrants))
     assert '<td class="number" data-sort="21.5">21.5 <small>[20, 23]</small></td>' in text
     assert '<td class="number" data-sort="inf">∞</td>' in text

@@ -3,16 +3,16 @@
 import pytest
 
 from geoevs.protocol.rows import COST_TYPES, cost_frame
-from geoevs.results.entrants import Entrants, Shown
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.report.sentences import summarise_run
 from geoevs.results.settings import TableSettings
 
 SETTINGS = TableSettings([0, 10, 20, 30], [0, 0.1], 200, 0.95, "geo-evs")
 ENTRANTS = Entrants(
     {
-        "reproject": Shown("Reprojection", "control"),
-        "nearest-view": Shown("Nearest view", "control"),
-        "mine": Shown("Mine", "reconstruction"),
+        "reproject": Info("Reprojection", "control"),
+        "nearest-view": Info("Nearest view", "control"),
+        "mine": Info("Mine", "reconstruction"),
     }
 )
 
