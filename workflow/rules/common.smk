@@ -200,6 +200,18 @@ def entry_arguments(wildcards):
     return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
 
 
+def entrant_options(wildcards):
+    """Every entrant's options by its name in the config, as JSON; seeds share them."""
+    return json.dumps({entry.name: entry.options for entry in ENTRIES.values()})
+
+
+def entrant_code(wildcards):
+    """Hash of all methods that play."""
+    methods = {entry.method for entry in ENTRIES.values()} - set(ORACLES)
+    modules = [find_methods()[method] for method in sorted(methods)]
+    return code_hash("geoevs.protocol.entrants", *modules)
+
+
 def fit_arguments(wildcards):
     """What only a fit is told: the method's options, and the wall time it may take."""
     seconds = config["budget"]["fit_seconds"]

@@ -15,18 +15,6 @@ RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
-def entrant_options(wildcards):
-    """Every entrant's options by its name in the config, as JSON; seeds share them."""
-    return json.dumps({entry.name: entry.options for entry in ENTRIES.values()})
-
-
-def entrant_code(wildcards):
-    """Hash of all methods that play."""
-    methods = {entry.method for entry in ENTRIES.values()} - set(ORACLES)
-    modules = [find_methods()[method] for method in sorted(methods)]
-    return code_hash("geoevs.protocol.entrants", *modules)
-
-
 # Who plays, once for all tables: they import no method.
 rule entrants:
     output:
