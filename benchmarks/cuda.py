@@ -39,8 +39,10 @@ from geoevs.diffusion.autoencoder import Autoencoder
 from geoevs.diffusion.denoiser import Denoiser
 from geoevs.diffusion.prior import NANO, Prior, load_prior
 from geoevs.diffusion.process import Diffusion
-from geoevs.generator.geo_evs.model import Generator, Sampling
-from geoevs.generator.geo_evs.task import GeoEvsTask, TrainingSettings
+from geoevs.diffusion.sampling import Sampling
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.task import GeoEvsTask
+from geoevs.generator.geo_evs.training import Settings
 from geoevs.geometry.vggt import VGGT_1B, VGGT_NANO, VggtConfig, new_vggt
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
@@ -104,7 +106,7 @@ def training_set() -> tuple[Pairs, MaskLibrary]:
 def geo_evs(prior: Prior, paper: bool) -> list[str]:
     """Train and sample; cells of a row."""
     pairs, library = training_set()
-    settings = TrainingSettings(
+    settings = Settings(
         **{"prior": "", "prediction": None, "schedule": None, "steps": 10**6, "batch": BATCH},
         **{"learning_rate": 1e-4, "drop": 0.1, "encoder": "trained", "validity": not paper},
         **{"filled": not paper, "weighting": "uniform", "timesteps": "uniform"},

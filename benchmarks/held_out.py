@@ -29,7 +29,7 @@ from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.moving import moving_pixels
 from geoevs.methods.contract import Adapter, Budget, Rendering, Views
 from geoevs.methods.finding import make_method, method_class
-from geoevs.projection import colour_points
+from geoevs.projection import colour_frame
 from geoevs.protocol.clock import timed
 from geoevs.protocol.depth_scoring import FARTHEST
 from geoevs.protocol.entries import ORACLES, MethodEntry
@@ -108,7 +108,7 @@ def render_street(name: str, config: dict[str, Any], folder: Path) -> Street:
 
     def coloured(frame: Frame) -> Frame:
         depths[frame.frame] = frame.depths
-        return replace(frame, points=colour_points(frame.points, frame.cameras, frame.images))
+        return colour_frame(frame)
 
     write_scene(folder, record.info, record.tracks, map(coloured, record.frames))
     scene = Scene(folder)

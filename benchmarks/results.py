@@ -25,8 +25,18 @@ from geoevs.protocol.rows import SCORE_TYPES, cost_frame
 
 ROWS = (10_000, 100_000, 1_000_000)
 ENTRANTS = [
-    *("reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint", "emernerf"),
-    *("geo-evs", "geo-evs.v1", "geo-evs.v2", "geo-evs-support", "three-dgs", "freevs"),
+    "reference",
+    "mean-colour",
+    "nearest-view",
+    "reproject",
+    "reproject-inpaint",
+    "emernerf",
+    "geo-evs",
+    "geo-evs.v1",
+    "geo-evs.v2",
+    "geo-evs-support",
+    "three-dgs",
+    "freevs",
 ]
 SPLITS = {"observed": 5, "interpolation": 1, "extrapolation": 4, "pose-sweep": 20}
 SETTINGS = (
@@ -38,7 +48,7 @@ SETTINGS = (
 def score_rows(count: int, entrants: list[str] = ENTRANTS) -> pd.DataFrame:
     """About as many score rows, of as many frames as it takes."""
     rng = np.random.default_rng(0)
-    targets = [(split, f"{split}-{k}") for split, some in SPLITS.items() for k in range(some)]
+    targets = [(split, f"{split}-{k}") for split, views in SPLITS.items() for k in range(views)]
     metrics = [*METRICS]
     per_frame = len(targets) * len(metrics) * len(entrants)
     frames = max(6, round(count / per_frame))
@@ -82,11 +92,24 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
                 sizes = {"peak_memory": int(cost * 1e8), "bytes": int(cost * 1e5)}
                 rows.append(
                     {
-                        **{"dataset": "street", "scene": f"scene-{scene}", "sources": sources},
-                        **{"method": method, "variant": variant or "default", "seed": 0},
-                        **{"fit_seconds": cost, "render_seconds": cost / 20, **sizes},
-                        **{"gpu_memory": 0, "primitives": 0, "parameters": 0, "device": "cpu"},
-                        **{"threads": 2, "note": "", "status": "ok", "stage": "", "reason": ""},
+                        "dataset": "street",
+                        "scene": f"scene-{scene}",
+                        "sources": sources,
+                        "method": method,
+                        "variant": variant or "default",
+                        "seed": 0,
+                        "fit_seconds": cost,
+                        "render_seconds": cost / 20,
+                        **sizes,
+                        "gpu_memory": 0,
+                        "primitives": 0,
+                        "parameters": 0,
+                        "device": "cpu",
+                        "threads": 2,
+                        "note": "",
+                        "status": "ok",
+                        "stage": "",
+                        "reason": "",
                         "log": "",
                     }
                 )
@@ -96,8 +119,8 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
 def write_rows(count: int, parts: Path, costs: Path) -> None:
     """Score rows as jobs leave them, one file a method, and cost rows."""
     parts.mkdir()
-    for method, some in score_rows(count).groupby("method"):
-        some.to_parquet(parts / f"{method}.parquet", index=False)
+    for method, rows in score_rows(count).groupby("method"):
+        rows.to_parquet(parts / f"{method}.parquet", index=False)
     cost_rows().to_parquet(costs, index=False)
 
 

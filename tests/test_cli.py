@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 
@@ -30,10 +31,20 @@ def geoevs(monkeypatch, capsys):
 def test_without_arguments_it_shows_its_commands():
     command = [sys.executable, "-m", "geoevs.cli.main"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
-    shown = run.stdout + run.stderr
+    text = run.stdout + run.stderr
     for name in ("scene", "targets", "fit", "render", "score", "table", "check-adapter"):
-        assert f" {name} " in shown
-    assert "Traceback" not in shown
+        assert f" {name} " in text
+    assert "Traceback" not in text
+
+
+def test_the_help_shows_what_people_call_first(geoevs):
+    code, text, _ = geoevs("--help")
+    assert code == 0
+    _, people, workflow = re.split("─ For people ─|─ For the workflow ─", text)
+    names = re.compile("│ ([a-z-]+)  ")
+    assert tuple(names.findall(people)) == cli.FOR_PEOPLE
+    assert {"scene", "fit", "stress", "stability-score", "report"} <= set(names.findall(workflow))
+    assert not set(names.findall(workflow)) & set(cli.FOR_PEOPLE)
 
 
 def test_an_unknown_command_is_named(geoevs):
@@ -44,7 +55,13 @@ def test_an_unknown_command_is_named(geoevs):
 
 def test_a_mistake_is_one_line_and_exit_code_1(geoevs, tmp_path):
     code, output, errors = geoevs(
-        *("targets", "--scene", tmp_path / "none", "--protocol", "{}", "--out", tmp_path / "t")
+        "targets",
+        "--scene",
+        tmp_path / "none",
+        "--protocol",
+        "{}",
+        "--out",
+        tmp_path / "t",
     )
     scene = tmp_path / "none" / "scene.json"
     assert (code, output) == (1, "")
@@ -116,7 +133,13 @@ def test_a_log_of_a_good_run_is_empty(geoevs, tmp_path):
 def test_options_that_are_not_json_are_one_sentence(geoevs, tmp_path, text, sentence):
     scene = write_tiny_scene(tmp_path / "tiny").folder
     code, _, errors = geoevs(
-        *("targets", "--scene", scene, "--protocol", text, "--out", tmp_path / "targets.json")
+        "targets",
+        "--scene",
+        scene,
+        "--protocol",
+        text,
+        "--out",
+        tmp_path / "targets.json",
     )
     assert code == 1
     assert errors.startswith(f"error: {sentence}")
@@ -163,15 +186,28 @@ def test_a_stage_writes_what_the_next_one_reads(geoevs, tmp_path):
     }
     targets = tmp_path / "targets.json"
     code, _, errors = geoevs(
-        *("targets", "--scene", scene, "--protocol", json.dumps(protocol), "--out", targets)
+        "targets",
+        "--scene",
+        scene,
+        "--protocol",
+        json.dumps(protocol),
+        "--out",
+        targets,
     )
     assert (code, errors) == (0, "")
     # Two frames of three cameras, one interpolation and one shift to either side; the first has
     # them masked, too, but for the interpolation.
     assert len(json.loads(targets.read_text())) == 2 * (3 + 1 + 2) + (3 + 2)
     code, _, errors = geoevs(
-        *("references", "--scene", scene, "--targets", targets),
-        *("--out", tmp_path / "r.npz", "--masks", tmp_path / "m.npz"),
+        "references",
+        "--scene",
+        scene,
+        "--targets",
+        targets,
+        "--out",
+        tmp_path / "r.npz",
+        "--masks",
+        tmp_path / "m.npz",
     )
     assert (code, errors) == (0, "")
     assert (tmp_path / "r.npz").stat().st_size > 1000

@@ -3,14 +3,14 @@
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, write_json
 from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import AtLeast, Count, Positive, Within, check_fields
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
@@ -47,32 +47,20 @@ class Method:
         needs=("lidar", "tracks"),
         citation="Yang et al.: EmerNeRF, ICLR 2024",
     )
-    iterations: int | None = None
-    rays: int = 1024
-    learning_rate: float = 0.01
-    levels: int = 8
-    log2_entries: int = 17
-    width: int = 32
-    samples: tuple[int, int, int] = (32, 16, 16)
+    iterations: Count | None = None
+    rays: Count = 1024
+    learning_rate: Positive = 0.01
+    levels: Annotated[int, AtLeast(4)] = 8  # the other fields' grids have a half of it or less
+    log2_entries: Annotated[int, Within(1, 30)] = 17
+    width: Count = 32
+    samples: tuple[Count, Count, Count] = (32, 16, 16)
     _model: "EmerNeRF" = field(init=False)
     _place: "Place" = field(init=False)
     _images: dict[tuple[str, int], int] = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("iterations", "rays", "learning_rate", "levels", "log2_entries", "width"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise GeoEvsError(f"emernerf's option '{name}' is {value}; make it positive")
+        check_fields(f"method '{self.info.name}'", self)
         self.samples = tuple(self.samples)
-        if len(self.samples) != 3 or min(self.samples) < 1:
-            raise GeoEvsError(
-                f"emernerf's option 'samples' is {self.samples}; give three whole numbers from 1"
-            )
-        if self.levels < 4:
-            raise GeoEvsError(
-                f"emernerf's option 'levels' is {self.levels}; the other fields' grids have a half "
-                "of it or less, so make it 4 or more"
-            )
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Fit the fields to all pixels and LiDAR points of the source views."""

@@ -29,7 +29,7 @@ class Method:
         Raises:
             GeoEvsError: there is no such folder.
         """
-        images = Path(self.folder) / views.scene_name
+        images = Path(self.folder).expanduser() / views.scene_name
         if not images.is_dir():
             raise GeoEvsError(
                 f"{images} is missing; put the images of scene '{views.scene_name}' there as "
@@ -44,7 +44,7 @@ class Method:
         Raises:
             GeoEvsError: it is missing, no image, or of another size.
         """
-        path = Path(self.folder) / self.scene / camera.name / f"{frame:06d}.png"
+        path = Path(self.folder).expanduser() / self.scene / camera.name / f"{frame:06d}.png"
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise GeoEvsError(
@@ -55,7 +55,7 @@ class Method:
 
     def save(self, folder: Path) -> None:
         """Write where the images lie; they are not copied."""
-        place = {"folder": str(Path(self.folder).resolve()), "scene": self.scene}
+        place = {"folder": str(Path(self.folder).expanduser().resolve()), "scene": self.scene}
         write_json(folder / "external.json", place)
 
     @classmethod

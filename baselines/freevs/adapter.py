@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
+from baselines.freevs.sampling import Guidance, Sampling, SigmaMax
 from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import Count
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.methods.trained import asked_options, link_trained, read_trained, trained_seconds
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
-    from baselines.freevs.model import ClipGenerator, Sampling
+    from baselines.freevs.model import ClipGenerator
 
 # torch is imported where networks are made: configs are checked without one.
 
@@ -26,7 +28,7 @@ class Method:
     """The published method at the size of this suite's scenes; see docs/freevs.md.
 
     Args:
-        weights: what `geoevs train-freevs` wrote.
+        weights: what `geoevs train freevs` wrote.
         steps, guidance, sigma_max, average: see `Sampling`; None takes what it was trained for.
     """
 
@@ -38,14 +40,14 @@ class Method:
         citation="Wang et al.: FreeVS, ICLR 2025",
     )
     weights: str
-    steps: int | None = None
-    guidance: float | None = None
-    sigma_max: float | None = None
-    average: int | None = None
+    steps: Count | None = None
+    guidance: Guidance | None = None
+    sigma_max: SigmaMax | None = None
+    average: Count | None = None
     _views: Views = field(init=False)
     _sweeps: Sweeps = field(init=False)
     _generator: "ClipGenerator" = field(init=False)
-    _sampling: "Sampling" = field(init=False)
+    _sampling: Sampling = field(init=False)
     _seed: int = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
@@ -106,7 +108,7 @@ class Method:
 
     def _load_trained(self) -> None:
         """Read the networks, and how they sample."""
-        from baselines.freevs.model import ClipGenerator, Sampling
+        from baselines.freevs.model import ClipGenerator
 
         settings = read_trained(Path(self.weights))
         asked = asked_options(self, SAMPLING_OPTIONS)

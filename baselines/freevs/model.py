@@ -13,7 +13,7 @@ from torch import Tensor
 
 from baselines.freevs.denoiser import ClipDenoiser
 from baselines.freevs.encoder import PseudoImageEncoder, filled_latents
-from geoevs.core.errors import GeoEvsError
+from baselines.freevs.sampling import Sampling
 from geoevs.core.networks import (
     best_device,
     load_weights,
@@ -26,44 +26,6 @@ from geoevs.diffusion.prior import AUTOENCODER_FILE, load_autoencoder, save_auto
 from geoevs.diffusion.process import Diffusion, guided
 
 DENOISER_FILE = "denoiser.safetensors"
-SIGMA_MIN, RHO = 0.002, 7.0
-"""Where EDM's noise ends before zero, and how its steps are spaced, as Stable Video Diffusion's."""
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How a clip is sampled.
-
-    Args:
-        steps: of denoising.
-        guidance: scale of classifier-free guidance; at 1 nothing is sampled without its condition.
-        sigma_max: standard deviation of the noise that sampling starts from.
-        average: samples whose mean is shown; the mean of several is nearer to the truth than any.
-
-    Raises:
-        GeoEvsError: a number is out of range.
-    """
-
-    steps: int = 25
-    guidance: float = 2.0
-    sigma_max: float = 700.0
-    average: int = 1
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise GeoEvsError(f"sampling has {self.steps} steps; choose 1 or more")
-        if self.average < 1:
-            raise GeoEvsError(f"sampling averages {self.average} samples; choose 1 or more")
-        if self.sigma_max <= SIGMA_MIN:
-            raise GeoEvsError(
-                f"sampling starts from noise of {self.sigma_max}; choose more than {SIGMA_MIN}"
-            )
-
-    def sigmas(self) -> list[float]:
-        """The noise before each step, and zero after the last (Karras et al. 2022, equation 5)."""
-        shares = np.linspace(0, 1, self.steps)
-        high, low = self.sigma_max ** (1 / RHO), SIGMA_MIN ** (1 / RHO)
-        return [*((high + shares * (low - high)) ** RHO).tolist(), 0.0]
 
 
 @dataclass(frozen=True)
@@ -139,7 +101,7 @@ class ClipGenerator:
                 settings["frames"],
                 settings["spread"],
             )
-        load_weights(denoiser, weights, path, "make it again with `geoevs train-freevs`")
+        load_weights(denoiser, weights, path, "make it again with `geoevs train freevs`")
         return cls(autoencoder.to(device), denoiser.eval().to(device))
 
 

@@ -1,10 +1,9 @@
-"""Training FreeVS: denoise clips of recorded views from their pseudo-images."""
+"""How FreeVS is trained: denoise clips of recorded views from their pseudo-images."""
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +12,8 @@ from torch import Tensor, nn
 from baselines.freevs.clips import SHIFTS, Clips
 from baselines.freevs.denoiser import ClipDenoiser, Preconditioning
 from baselines.freevs.encoder import filled_latents
-from baselines.freevs.model import ClipGenerator, Sampling
+from baselines.freevs.model import ClipGenerator
+from baselines.freevs.training import Settings
 from geoevs.core.networks import best_device, mixed_precision, seeded
 from geoevs.core.optimising import Optimisation, fingerprint, optimise
 from geoevs.core.randomness import Rng
@@ -22,33 +22,8 @@ from geoevs.diffusion.latents import encode_in_parts
 from geoevs.diffusion.prior import Prior, load_prior
 
 
-@dataclass(frozen=True)
-class TrainingSettings:
-    """A training of FreeVS, as the config's `freevs` section names it.
-
-    Args:
-        prior: the weights to start from (see `load_prior`).
-        frames: of a clip.
-        steps, batch, learning_rate: of the optimiser; a batch is of clips.
-        drop: share of clips without their conditions.
-        simulated: share of clips shown by points of frames 4 earlier or later.
-        noise: `mean` and `std` of the noise's log standard deviation in training.
-        sampling: fields of Sampling, what renders use unless they ask for another.
-    """
-
-    prior: str
-    frames: int
-    steps: int
-    batch: int
-    learning_rate: float
-    drop: float
-    simulated: float
-    noise: dict[str, float]
-    sampling: dict[str, Any]
-
-
 def train_freevs(
-    settings: TrainingSettings,
+    settings: Settings,
     clips: Clips,
     weights: Path,
     seed: int,
@@ -92,10 +67,10 @@ class FreeVSTask:
             divide into latents.
     """
 
-    def __init__(self, prior: Prior, clips: Clips, settings: TrainingSettings, seed: int) -> None:
+    def __init__(self, prior: Prior, clips: Clips, settings: Settings, seed: int) -> None:
         self._autoencoder = prior.autoencoder.requires_grad_(False)
         self._clips, self._settings = clips, settings
-        self._sampling = Sampling(**settings.sampling)
+        self._sampling = settings.sampling
         self._starts = clips.starts(settings.frames)
         target = clips.target[:, None]
         self._latents = _encode(self._autoencoder, target, np.ones(target.shape[:-1], bool))[:, 0]
@@ -124,8 +99,8 @@ class FreeVSTask:
         other = rng.numpy.integers(1, len(SHIFTS), size=count)
         shown = np.where(rng.numpy.random(count) < settings.simulated, other, 0).repeat(frames)
         views = (picked[:, None] + np.arange(frames)).ravel()
-        exponent = torch.randn(count, generator=rng.torch) * settings.noise["std"]
-        sigma = (settings.noise["mean"] + exponent).exp().repeat_interleave(frames).to(device)
+        exponent = torch.randn(count, generator=rng.torch) * settings.noise.std
+        sigma = (settings.noise.mean + exponent).exp().repeat_interleave(frames).to(device)
         clean = self._latents[views]
         noise = torch.randn(clean.shape, generator=rng.torch).to(device)
         valid = torch.from_numpy(self._clips.valid[views, shown][:, None]).to(device)

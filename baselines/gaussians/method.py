@@ -4,14 +4,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import numpy as np
 
-from baselines.gaussians.options import FEWEST, check_densification, check_least
+from baselines.gaussians.options import FEWEST, Densification
 from geoevs.core.files import read_arrays, write_arrays
 from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import AtLeast, Count, check_fields
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
@@ -46,16 +47,14 @@ class GaussianMethod:
     """
 
     info: ClassVar[MethodInfo]
-    iterations: int | None = None
-    gaussians: int | None = None
-    densification: str = "mcmc"
+    iterations: Count | None = None
+    gaussians: Annotated[int, AtLeast(FEWEST)] | None = None
+    densification: Densification = "mcmc"
     sfm_cache: str | None = None
     _graph: "SceneGraph" = field(init=False)
 
     def __post_init__(self) -> None:
-        check_least("iterations", self.iterations, 1)
-        check_least("gaussians", self.gaussians, FEWEST)
-        check_densification(self.densification)
+        check_fields(f"method '{self.info.name}'", self)
 
     def _train(
         self,

@@ -137,12 +137,12 @@ def _triangulate(observed: list[Observed], folder: Path) -> list[_Track]:
     options.mapper.random_seed = 0
     options.mapper.filter_max_reproj_error = REPROJECTION_ERROR
     options.mapper.filter_min_tri_angle = TRIANGULATION_ANGLE
-    found = pycolmap.triangulate_points(
+    triangulated = pycolmap.triangulate_points(
         reconstruction, folder / "database.db", folder, folder, options=options
     )
     return [
         _Track(point.xyz, sorted({element.image_id - 1 for element in point.track.elements}))
-        for _, point in sorted(found.points3D.items())
+        for _, point in sorted(triangulated.points3D.items())
     ]
 
 
@@ -173,8 +173,12 @@ def _match(observed: list[Observed], database: pycolmap.Database) -> int:
         geometry = _known_geometry(view, other)
         matcher.match_guided(
             EPIPOLAR_ERROR,
-            *(view.keypoints, view.descriptors, view.lens),
-            *(other.keypoints, other.descriptors, other.lens),
+            view.keypoints,
+            view.descriptors,
+            view.lens,
+            other.keypoints,
+            other.descriptors,
+            other.lens,
             geometry,
         )
         if len(geometry.inlier_matches):

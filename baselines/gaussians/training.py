@@ -16,9 +16,9 @@ from baselines.gaussians.densification import (
 from baselines.gaussians.loss import photometric_loss
 from baselines.gaussians.nodes import Drawn, SceneGraph
 from baselines.gaussians.optimiser import EPSILON, MEANS_DECAY, Optimiser
-from baselines.gaussians.options import check_densification
+from baselines.gaussians.options import STRATEGIES
 from baselines.gaussians.size import SizeChoice
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.methods.contract import Views
 from geoevs.scenes.camera import Camera
 
@@ -71,7 +71,8 @@ def make_strategy(name: str, cap: int, steps: int) -> Strategy:
     Raises:
         GeoEvsError: there is no such strategy.
     """
-    check_densification(name)
+    if name not in STRATEGIES:
+        raise GeoEvsError(f"there is no densification '{name}'; {did_you_mean(name, STRATEGIES)}")
     start, stop = round(GROWTH_START * steps), round(GROWTH_STOP * steps)
     schedule = Schedule(start, stop, max(SHORTEST_ROUND, steps // GROWTH_ROUNDS))
     if name == "mcmc":

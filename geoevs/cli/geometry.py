@@ -1,20 +1,36 @@
 """The depth network as commands: training it, and saying how good it is (paper section 3.2)."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from geoevs.cli.arguments import Out, Rate, SceneFolder, Scenes, Seed, Steps, Work
-from geoevs.core.errors import GeoEvsError
-from geoevs.core.progress import progress_bar, training_bar
+from geoevs.core.progress import progress_bar
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (train_geometry, train_refiner, score_geometry):
+    for command in (point_maps, train_geometry, train_refiner, score_geometry):
         app.command()(command)
+
+
+def point_maps(
+    scene: SceneFolder,
+    model: Annotated[str, typer.Option(help="The depth model's name, such as lidar.")],
+    out: Out,
+    weights: Annotated[
+        Path | None, typer.Option(help="The model's weights, if it has any.")
+    ] = None,
+) -> None:
+    """Estimate the depth of every recorded view of a scene."""
+    from geoevs.geometry.depth_models import make_depth_model
+    from geoevs.geometry.point_maps import write_point_maps
+    from geoevs.scenes.store import Scene
+
+    store, made = Scene(scene), make_depth_model(model, weights)
+    with progress_bar(f"point maps {store.info.name}", len(store.frames)) as advance:
+        write_point_maps(out, store, made, advance)
 
 
 def train_geometry(
@@ -42,27 +58,13 @@ def train_geometry(
     """
     import torch
 
-    from geoevs.core.files import write_json
-    from geoevs.core.networks import best_device
-    from geoevs.core.optimising import Optimisation, finish, training_seconds
-    from geoevs.core.randomness import Rng
-    from geoevs.geometry.finetuning import read_depth_frames, train_vggt
-    from geoevs.geometry.vggt import VGGT_NANO, load_vggt, new_vggt, save_vggt
-    from geoevs.methods.trained import seconds_file
+    from geoevs.core.optimising import Optimisation
+    from geoevs.geometry.finetuning import train_depth_network
 
-    model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
-    frames = read_depth_frames(scenes or [], depths or [], model.config)
-    count = sum(parameter.numel() for parameter in model.parameters())
-    views = frames.images.shape[1]
-    described = f"{len(frames)} frames of {views} views, {count / 1e6:.1f} M parameters"
-    print(f"VGGT: {described}, {steps} steps", file=sys.stderr)
-    model.to(best_device())
-    with training_bar("VGGT", steps) as report:
-        optimisation = Optimisation(steps, learning_rate)
-        trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
-    write_json(seconds_file(out), {"training": training_seconds(work)})
-    save_vggt(trained, out, torch.float16 if half else torch.float32)
-    finish(work)
+    optimisation = Optimisation(steps, learning_rate)
+    dtype = torch.float16 if half else torch.float32
+    truths = depths or []
+    train_depth_network(scenes or [], truths, start, batch, optimisation, seed, work, out, dtype)
 
 
 def train_refiner(
@@ -77,34 +79,11 @@ def train_refiner(
     seed: Seed = 0,
 ) -> None:
     """Train what refines a VGGT's depth by LiDAR; writes both together, as float16."""
-    import torch
+    from geoevs.core.optimising import Optimisation
+    from geoevs.geometry.refiner_training import train_depth_refiner
 
-    from geoevs.core.networks import best_device, seeded
-    from geoevs.core.optimising import Optimisation, finish, optimise
-    from geoevs.geometry.depth_models import VggtDepth
-    from geoevs.geometry.refinement import NANO_CHANNELS, DepthRefiner
-    from geoevs.geometry.refiner_training import RefinementTask, read_refiner_views
-    from geoevs.geometry.vggt import save_vggt
-
-    if len(scenes) != len(depths):
-        raise GeoEvsError(
-            f"there are {len(scenes)} scenes and {len(depths)} folders of true depth; give one for "
-            "each scene"
-        )
-    network = VggtDepth(model)
-    network.model.refiner = None
-    with progress_bar("depth of scenes", len(scenes)) as advance:
-        views = read_refiner_views(scenes, depths, network, advance)
-    with seeded(seed, "depth-refiner"):
-        refiner = DepthRefiner(NANO_CHANNELS)
-    refiner.to(best_device())
-    with training_bar(f"depth refiner on {len(views)} views", steps) as report:
-        task = RefinementTask(refiner, views, batch)
-        optimisation = Optimisation(steps, learning_rate)
-        trained = optimise(task, optimisation, seed, "depth-refiner", work, report)
-    network.model.set_refiner(trained, NANO_CHANNELS)
-    save_vggt(network.model, out, torch.float16)
-    finish(work)
+    optimisation = Optimisation(steps, learning_rate)
+    train_depth_refiner(model, scenes, depths, batch, optimisation, seed, work, out)
 
 
 def score_geometry(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.models import CommandInfo
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_text
@@ -19,9 +20,19 @@ app = typer.Typer(
     "`snakemake --cores 2 tables`; these are its steps, and tools for your own method.",
 )
 COMMANDS = (
-    *("stages", "geometry", "conditions", "generator", "freevs", "stability", "audit"),
-    *("tables", "outcomes", "adapters"),
+    "stages",
+    "geometry",
+    "trainings",
+    "pretraining",
+    "stability",
+    "audit",
+    "tables",
+    "outcomes",
+    "adapters",
 )
+FOR_PEOPLE = ("why", "compare", "grid", "new-adapter", "check-adapter", "export")
+"""The commands that people call, as the help lists them; rules call the others."""
+
 _log: Path | None = None
 
 
@@ -38,10 +49,24 @@ def options(
     _log = log
 
 
+def arrange_help(app: typer.Typer) -> None:
+    """Divide the commands into two panels, those for people first and in the order above."""
+
+    def place(command: CommandInfo) -> int:
+        name = command.callback.__name__.replace("_", "-")
+        return FOR_PEOPLE.index(name) if name in FOR_PEOPLE else len(FOR_PEOPLE)
+
+    app.registered_commands.sort(key=place)
+    for command in app.registered_commands:
+        people = place(command) < len(FOR_PEOPLE)
+        command.rich_help_panel = "For people" if people else "For the workflow"
+
+
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
     for commands in COMMANDS:
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
+    arrange_help(app)
     try:
         app()
     except Exception as error:

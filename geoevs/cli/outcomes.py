@@ -19,7 +19,6 @@ from geoevs.cli.arguments import (
     scene_pairs,
     table_settings,
 )
-from geoevs.core.errors import GeoEvsError
 
 RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
 DatasetName = Annotated[str, typer.Option(help="The data set; left out, the first.")]
@@ -27,8 +26,18 @@ DatasetName = Annotated[str, typer.Option(help="The data set; left out, the firs
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    commands = collect, entrants, grid, chart, report, manifest, install_weights, failures
-    for command in (*commands, why, compare):
+    for command in (
+        collect,
+        entrants,
+        grid,
+        chart,
+        report,
+        manifest,
+        install_weights,
+        failures,
+        why,
+        compare,
+    ):
         app.command()(command)
 
 
@@ -37,25 +46,9 @@ def collect(
     out: Out,
 ) -> None:
     """Put the rows of many jobs into one Parquet file, in the order given, one job at a time."""
-    import io
+    from geoevs.core.parquet import join_parquet
 
-    import pyarrow.parquet as pq
-
-    from geoevs.core.files import whole_file, write_bytes
-
-    buffer = io.BytesIO()
-    with whole_file(parts[0]):
-        schema = pq.read_schema(parts[0])
-    with pq.ParquetWriter(buffer, schema) as writer:
-        for part in parts:
-            with whole_file(part):
-                rows = pq.read_table(part)
-            if not rows.schema.equals(schema):
-                raise GeoEvsError(
-                    f"{part} has other columns than {parts[0]}; delete it and make it again"
-                )
-            writer.write_table(rows)
-    write_bytes(out, buffer.getvalue())
+    join_parquet(out, parts)
 
 
 def entrants(
@@ -101,17 +94,12 @@ def chart(
     sets: SetScores = None,
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
-    from geoevs.core.files import write_text
-    from geoevs.results.chart_pages import draw_page, write_page
-    from geoevs.results.charts import speed_accuracy
+    from geoevs.results.chart_pages import write_chart
     from geoevs.results.entrants import Entrants
 
     parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets)
-    table = speed_accuracy(name, read_rows(scores), read_rows(costs), parsed, who, distances)
-    page = draw_page(name, table, parsed)
-    write_text(out.with_suffix(".csv"), table.to_csv(index=False))
-    write_page(out, page)
+    write_chart(out, name, read_rows(scores), read_rows(costs), parsed, who, distances)
 
 
 def report(
@@ -150,18 +138,12 @@ def install_weights(
 
     Other weights in that folder, and what is written down of them, stay.
     """
-    from geoevs.core.files import read_json, write_bytes, write_json
-    from geoevs.results.manifest import add_provenance, make_provenance
+    from geoevs.core.files import write_json
+    from geoevs.results.manifest import install_weights as install
 
     folders = dict(pair.split("=", 1) for pair in work)
-    losses = {name: Path(folder) / "losses.csv" for name, folder in folders.items()}
-    provenance = make_provenance(parse_json("--config", config), files, losses)
-    kept = weights / "provenance.json"
-    everything = add_provenance(provenance, read_json(kept) if kept.exists() else [])
-    for path in files:
-        write_bytes(weights / path.name, path.read_bytes())
-    write_json(kept, everything)
-    write_json(out, provenance)
+    trainings = {name: Path(folder) for name, folder in folders.items()}
+    write_json(out, install(weights, files, trainings, parse_json("--config", config)))
 
 
 def failures(
@@ -171,20 +153,10 @@ def failures(
     ] = None,
 ) -> None:
     """Say in one line each which methods failed, why, and where their logs are."""
-    from geoevs.results.failures import fit_failures, stress_failures
+    from geoevs.results.failures import known_failures
 
-    found = []
-    # A file that is not there: the run has not come that far.
-    if costs.exists():
-        found += fit_failures(read_rows(costs))
-    if stability is not None and stability.exists():
-        found += stress_failures(read_rows(stability))
-    for failure in found:
-        print(
-            f"FAILED: {failure.method} ({failure.variant}) could not {failure.stage} "
-            f"{failure.place}: {failure.reason}; log: {failure.log}",
-            file=sys.stderr,
-        )
+    for failure in known_failures(costs, stability):
+        print(f"FAILED: {failure}", file=sys.stderr)
 
 
 def why(
@@ -229,8 +201,8 @@ def compare(
     """
     from geoevs.results.compare import compare_entrants, comparison_text
 
-    found = compare_entrants(table, first, second, _folder(run), dataset)
-    print(comparison_text(found, first, second))
+    difference = compare_entrants(table, first, second, _folder(run), dataset)
+    print(comparison_text(difference, first, second))
 
 
 def _folder(run: str) -> Path:

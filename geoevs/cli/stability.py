@@ -25,8 +25,12 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
-        *(stress, stability_targets, stability_render, stability_score),
-        *(stability_table, stability_chart),
+        stress,
+        stability_targets,
+        stability_render,
+        stability_score,
+        stability_table,
+        stability_chart,
     ):
         app.command()(command)
 
@@ -55,7 +59,7 @@ def stability_targets(scene: SceneFolder, settings: Settings, out: Out) -> None:
 
 
 def stability_render(
-    scenes: Annotated[list[Path], typer.Argument(help="What methods are given, by condition.")],
+    scenes: Annotated[list[Path], typer.Argument(help="What methods are given, by stress.")],
     method: Method,
     group: Group,
     settings: Settings,
@@ -67,14 +71,13 @@ def stability_render(
     variant: str = "default",
     seed: Seed = 0,
 ) -> None:
-    """Fit and render a method under all conditions of a stressor; failures are written down."""
+    """Fit and render a method under all stresses of a group; failures are written down."""
     from geoevs.protocol.entries import MethodEntry
-    from geoevs.protocol.stability import conditions, render_conditions
+    from geoevs.protocol.stability import render_stresses, stresses
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
-    wanted = conditions(group, parse_json("--settings", settings))
-    pairs = list(zip(wanted, scenes, strict=True))
-    render_conditions(entry, pairs, targets, masks, out, method_log)
+    given = zip(stresses(group, parse_json("--settings", settings)), scenes, strict=True)
+    render_stresses(entry, list(given), targets, masks, out, method_log)
 
 
 def stability_score(
@@ -88,23 +91,13 @@ def stability_score(
     variant: str = "default",
     seed: Seed = 0,
 ) -> None:
-    """Score what a method rendered under all conditions of a stressor."""
-    from geoevs import layout
-    from geoevs.core.files import write_bytes
+    """Score what a method rendered under all stresses of a group."""
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
-    from geoevs.protocol.rows import protocol_fingerprint, score_frame
-    from geoevs.protocol.stability_scoring import score_conditions
-    from geoevs.scenes.store import Scene
+    from geoevs.protocol.stability_scoring import score_stresses
 
-    section = parse_json("--settings", settings)
-    place = {"dataset": dataset, "scene": scene}
-    store = Scene(run / layout.SCENE.format(**place))
-    # Levels and draws are columns; poses are all that scores of two scenes must share.
-    poses = {"lateral": section["lateral"]}
-    common = {**place, "fingerprint": protocol_fingerprint(store, poses)}
-    entry = MethodEntry(method, variant, {}, seed)
-    rows = score_conditions(entry, group, run, scene, section, common)
-    write_bytes(out, score_frame(rows).to_parquet(index=False))
+    entry, section = MethodEntry(method, variant, {}, seed), parse_json("--settings", settings)
+    write_parquet(out, score_stresses(entry, group, run, dataset, scene, section))
 
 
 def stability_table(
@@ -114,18 +107,11 @@ def stability_table(
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
-    from geoevs.core.files import write_text
     from geoevs.results.entrants import Entrants
-    from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
-    from geoevs.results.stability_page import stability_markdown
+    from geoevs.results.stability_page import write_stability
 
-    given = read_rows(scores), table_settings(settings), Entrants.read(entrants)
-    made, broken, spread = (
-        make(*given) for make in (make_stability_table, breaking_points, seed_spread)
-    )
-    for name, table in (("stability", made), ("breaking_points", broken), ("seed_spread", spread)):
-        write_text(out / f"{name}.csv", table.to_csv(index=False))
-    write_text(out / "breaking_points.md", stability_markdown(made, broken, spread))
+    who = Entrants.read(entrants)
+    write_stability(out, read_rows(scores), table_settings(settings), who)
 
 
 def stability_chart(
@@ -136,11 +122,6 @@ def stability_chart(
     """Draw every method's curve over the levels of a stressor."""
     import pandas as pd
 
-    from geoevs.core.files import write_text
-    from geoevs.results.chart_pages import write_page
-    from geoevs.results.stability_chart import curves, stability_curves
+    from geoevs.results.stability_chart import write_stability_chart
 
-    shown = curves(pd.read_csv(table), stressor)
-    drawn = stability_curves(shown, stressor)
-    write_text(out.with_suffix(".csv"), shown.to_csv(index=False))
-    write_page(out, drawn)
+    write_stability_chart(out, pd.read_csv(table), stressor)

@@ -1,13 +1,12 @@
 """The stages of the protocol as commands; the workflow's rules call these."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json
-from geoevs.core.progress import counted, progress_bar
+from geoevs.core.progress import progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
 SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]
@@ -20,7 +19,17 @@ Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    for command in (*(scene, targets, truth, references, fit, render, score, score_sets, export),):
+    for command in (
+        scene,
+        targets,
+        truth,
+        references,
+        fit,
+        render,
+        score,
+        score_sets,
+        export,
+    ):
         app.command()(command)
 
 
@@ -34,22 +43,13 @@ def scene(
     options: Options = "{}",
 ) -> None:
     """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
-    from geoevs.core.files import new_folder
-    from geoevs.projection import colour_points
-    from geoevs.scenes.depths import write_depths
-    from geoevs.scenes.scene import Frame, SceneRef, load_source
-    from geoevs.scenes.store import write_scene
+    from geoevs.projection.coloured_scenes import write_coloured_scene
+    from geoevs.scenes.scene import SceneRef, load_source
 
-    def coloured(frame: Frame) -> Frame:
-        points = colour_points(frame.points, frame.cameras, frame.images)
-        return dataclasses.replace(frame, points=points)
-
-    made = load_source(source, height, width, parse_json("--options", options))
-    record = made.open(SceneRef.parse(name))
-    with progress_bar(f"scene {name}", record.frame_count) as advance, new_folder(depths) as apart:
-        frames = (coloured(frame) for frame in counted(record.frames, advance))
-        frames = (write_depths(apart, frame) for frame in frames)
-        write_scene(out, record.info, record.tracks, frames)
+    data = load_source(source, height, width, parse_json("--options", options))
+    record = data.open(SceneRef.parse(name))
+    with progress_bar(f"scene {name}", record.frame_count) as advance:
+        write_coloured_scene(out, depths, record, advance)
 
 
 def targets(
@@ -79,11 +79,10 @@ def truth(
     from geoevs.protocol.truth import write_truth
     from geoevs.scenes.scene import SceneRef, load_source
 
-    wanted = read_targets(targets)
-    virtual = len(virtual_targets(wanted))
-    made = load_source(source, height, width, parse_json("--options", options))
-    with progress_bar(f"truth {name}", virtual) as advance:
-        write_truth(out, made, SceneRef.parse(name), wanted, advance)
+    views = read_targets(targets)
+    data = load_source(source, height, width, parse_json("--options", options))
+    with progress_bar(f"truth {name}", len(virtual_targets(views))) as advance:
+        write_truth(out, data, SceneRef.parse(name), views, advance)
 
 
 def references(
@@ -97,16 +96,11 @@ def references(
 
     The masks that degrade the conditions of masked targets come with it, in a file of their own.
     """
-    from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
-    from geoevs.protocol.records import write_records
-    from geoevs.protocol.reference import make_references
+    from geoevs.protocol.reference import write_references
     from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    store, wanted = Scene(scene), read_targets(targets)
-    reprojection = RawReprojection(store)
-    write_records(out, make_references(store, wanted, reprojection, seed))
-    write_records(masks, make_condition_masks(wanted, reprojection))
+    write_references(out, masks, Scene(scene), read_targets(targets), seed)
 
 
 def fit(
@@ -217,14 +211,8 @@ def export(
     For methods in another environment or language: they leave <camera>/<frame>.png, six digits a
     frame, which the method `external` scores.
     """
-    from geoevs.core.files import new_folder
-    from geoevs.methods.contract import NEEDS, Views
-    from geoevs.protocol.targets import read_targets, source_cameras, write_targets
+    from geoevs.protocol.export import export_views
+    from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    store = Scene(scene)
-    # Images from elsewhere come from no condition map that could be masked.
-    wanted = [t for t in read_targets(targets) if t.sources == sources and not t.masked]
-    with new_folder(out) as partial:
-        Views(store, source_cameras(store, sources), NEEDS).save(partial / "scene")
-        write_targets(partial / "cameras.json", wanted)
+    export_views(out, Scene(scene), read_targets(targets), sources)

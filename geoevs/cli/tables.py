@@ -1,8 +1,7 @@
 """From score rows to tables, for people, spreadsheets and papers; and the chart of sizes."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,31 +15,21 @@ from geoevs.cli.arguments import (
     table_settings,
 )
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 TableOut = Annotated[Path, typer.Option(help="Path without suffix; .csv, .md ... are added.")]
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    commands = table, ablation_table, cost_table, geometry_table, complexity_table
-    for command in (*commands, complexity_chart, rank_agreement):
+    for command in (
+        table,
+        ablation_table,
+        cost_table,
+        geometry_table,
+        complexity_table,
+        complexity_chart,
+        rank_agreement,
+    ):
         app.command()(command)
-
-
-def _write(
-    out: Path,
-    made: "pd.DataFrame",
-    markdown: "Callable[[pd.DataFrame], str]",
-    latex: "Callable[[pd.DataFrame], str] | None" = None,
-) -> None:
-    from geoevs.core.files import write_text
-
-    write_text(out.with_suffix(".csv"), made.to_csv(index=False))
-    write_text(out.with_suffix(".md"), markdown(made))
-    if latex is not None:
-        write_text(out.with_suffix(".tex"), latex(made))
 
 
 def table(
@@ -52,38 +41,33 @@ def table(
     sets: SetScores = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
-    from functools import partial
-
     from geoevs.results.entrants import Entrants
-    from geoevs.results.formats import to_latex, to_markdown
+    from geoevs.results.formats import write_table
     from geoevs.results.table_specs import table_spec
-    from geoevs.results.tables import make_table
 
-    spec = table_spec(name)
+    table_spec(name)  # a mistake in the name is said before one in the files
+    parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets)
-    who = Entrants.read(entrants)
-    made = make_table(name, read_rows(scores), table_settings(settings), who, distances)
-    _write(out, made, partial(to_markdown, spec), partial(to_latex, spec))
+    write_table(out, name, read_rows(scores), parsed, who, distances)
 
 
 def ablation_table(
     scores: Scores, settings: TablesSection, entrants: EntrantsFile, out: TableOut
 ) -> None:
     """Compare a method's variants with the full model, as CSV, Markdown and LaTeX."""
-    from geoevs.results.ablation import ablation_latex, ablation_markdown, make_ablation_table
+    from geoevs.results.ablation import write_ablation_table
     from geoevs.results.entrants import Entrants
 
     who = Entrants.read(entrants)
-    made = make_ablation_table(read_rows(scores), table_settings(settings), who)
-    _write(out, made, ablation_markdown, ablation_latex)
+    write_ablation_table(out, read_rows(scores), table_settings(settings), who)
 
 
 def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Make the table of times, memory and sizes as CSV and Markdown."""
-    from geoevs.results.costs import cost_markdown, make_cost_table
+    from geoevs.results.costs import write_cost_table
     from geoevs.results.entrants import Entrants
 
-    _write(out, make_cost_table(read_rows(costs), Entrants.read(entrants)), cost_markdown)
+    write_cost_table(out, read_rows(costs), Entrants.read(entrants))
 
 
 def geometry_table(
@@ -92,25 +76,18 @@ def geometry_table(
     out: TableOut,
 ) -> None:
     """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
-    from geoevs.results.geometry_table import (
-        geometry_latex,
-        geometry_markdown,
-        make_geometry_table,
-    )
+    from geoevs.results.geometry_table import write_geometry_table
 
-    made = make_geometry_table(read_rows(scores), table_settings(settings))
-    _write(out, made, geometry_markdown, geometry_latex)
+    write_geometry_table(out, read_rows(scores), table_settings(settings))
 
 
 def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
-    from geoevs.results.complexity import complexity_markdown, make_complexity_table
+    from geoevs.results.complexity import write_complexity_table
     from geoevs.results.entrants import Entrants
 
     who = Entrants.read(entrants)
-    _write(
-        out, make_complexity_table(read_rows(scores), read_rows(costs), who), complexity_markdown
-    )
+    write_complexity_table(out, read_rows(scores), read_rows(costs), who)
 
 
 def complexity_chart(
@@ -121,22 +98,15 @@ def complexity_chart(
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
-    from geoevs.core.files import write_text
-    from geoevs.results.chart_pages import write_page
-    from geoevs.results.complexity import size_curves
-    from geoevs.results.complexity_chart import size_chart
+    from geoevs.results.complexity_chart import write_size_chart
     from geoevs.results.entrants import Entrants
 
-    who = Entrants.read(entrants)
-    table = size_curves(read_rows(scores), read_rows(costs), table_settings(settings), who)
-    page = size_chart(table)
-    write_text(out.with_suffix(".csv"), table.to_csv(index=False))
-    write_page(out, page)
+    parsed, who = table_settings(settings), Entrants.read(entrants)
+    write_size_chart(out, read_rows(scores), read_rows(costs), parsed, who)
 
 
 def rank_agreement(scores: Scores, settings: TablesSection, out: TableOut) -> None:
     """Compare the order of methods with the paper's, as CSV and Markdown."""
-    from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
+    from geoevs.results.rank_agreement import write_rank_agreement
 
-    made = make_rank_agreement(read_rows(scores), table_settings(settings))
-    _write(out, made, rank_agreement_markdown)
+    write_rank_agreement(out, read_rows(scores), table_settings(settings))

@@ -9,7 +9,7 @@ import numpy as np
 
 from geoevs.conditions.bits import pack_masks, unpack_masks
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, whole_file, write_arrays
+from geoevs.core.files import read_arrays, whole_file
 from geoevs.geometry.lift import lift_frame
 from geoevs.geometry.point_maps import PointMaps
 from geoevs.methods.contract import Views
@@ -19,6 +19,9 @@ from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 LABELS = ("scene", "frame", "yaw", "lateral", "support")
+PREFIX = "masks/"
+"""Of its arrays in a file, which may hold other things."""
+
 NO_MASKS = "holds no masks; name training scenes under partitions.train of a data set"
 
 
@@ -129,20 +132,20 @@ def make_artifact_masks(
     )
 
 
-def write_artifact_masks(path: Path, library: MaskLibrary) -> None:
-    """Write a library, or one scene's part of it, as one .npz, whole or not at all."""
+def mask_arrays(library: MaskLibrary) -> dict[str, np.ndarray]:
+    """A library, or one scene's part of it, as arrays of an .npz file."""
     arrays = {name: getattr(library, name) for name in LABELS}
-    size = np.array([library.height, library.width])
-    write_arrays(path, {"size": size, "masks": library.packed, **arrays})
+    arrays |= {"size": np.array([library.height, library.width]), "masks": library.packed}
+    return {PREFIX + name: array for name, array in arrays.items()}
 
 
 def read_artifact_masks(path: Path) -> MaskLibrary:
-    """Read what `write_artifact_masks` wrote.
+    """Read the library among a file's arrays (see `mask_arrays`).
 
     Raises:
         GeoEvsError: the file is missing or damaged, or holds no masks.
     """
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, PREFIX)
     with whole_file(path):
         height, width = map(int, arrays["size"])
         packed, labels = arrays["masks"], {name: arrays[name] for name in LABELS}

@@ -9,12 +9,15 @@ import numpy as np
 from geoevs.conditions.bits import pack_masks, unpack_masks
 from geoevs.conditions.parts import join_parts
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, to_uint8, whole_file, write_arrays
+from geoevs.core.files import read_arrays, to_uint8, whole_file
 from geoevs.geometry.lift import lift_view
 from geoevs.geometry.point_maps import PointMaps
 from geoevs.projection import Raster, rasterize_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
+
+PREFIX = "pairs/"
+"""Of their arrays in a file, which may hold other things."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +72,11 @@ def make_pairs(scene: Scene, point_maps: PointMaps, advance: Callable[[], None])
     return Pairs(*map(np.array, zip(*rows, strict=True)))
 
 
-def write_pairs(path: Path, pairs: Pairs) -> None:
-    """Write pairs as one .npz, `valid` as packed bits, whole or not at all."""
+def pair_arrays(pairs: Pairs) -> dict[str, np.ndarray]:
+    """Pairs as arrays of an .npz file, `valid` as packed bits; `read_pairs` reads them."""
     arrays = {field.name: getattr(pairs, field.name) for field in fields(Pairs)}
-    write_arrays(path, {**arrays, "valid": pack_masks(pairs.valid)})
+    arrays["valid"] = pack_masks(pairs.valid)
+    return {PREFIX + name: array for name, array in arrays.items()}
 
 
 def read_pairs(paths: Sequence[Path]) -> Pairs:
@@ -89,7 +93,7 @@ def read_pairs(paths: Sequence[Path]) -> Pairs:
 
 
 def _read_part(path: Path) -> dict[str, np.ndarray]:
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, PREFIX)
     with whole_file(path):
         part = {field.name: arrays[field.name] for field in fields(Pairs)}
         part["valid"] = unpack_masks(part["valid"], *part["rgb"].shape[1:3])

@@ -8,6 +8,7 @@ import yaml
 from jsonschema import ValidationError
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.settings import SettingError
 
 Key = tuple[str | int, ...]
 
@@ -106,8 +107,21 @@ def locate(key: Key, files: Sequence[Path]) -> str:
 
 @contextmanager
 def located(key: Key, files: Sequence[Path]) -> Iterator[None]:
-    """Put the place of `key` before the sentence of a mistake found in the block."""
+    """Put the place of `key` before the sentence of a mistake found in the block.
+
+    A mistake in a setting stands below that key (see SettingError).
+    """
     try:
         yield
     except GeoEvsError as mistake:
-        raise GeoEvsError(f"{locate(key, files)}: {mistake}") from mistake
+        inner = mistake.key if isinstance(mistake, SettingError) else ()
+        raise GeoEvsError(f"{_nearest((*key, *inner), files)}: {mistake}") from mistake
+
+
+def _nearest(key: Key, files: Sequence[Path]) -> str:
+    """The place of a key, or of the section that it is missing from."""
+    for length in range(len(key), 0, -1):
+        place = locate(key[:length], files)
+        if ":" in place:
+            return place
+    return locate(key, files)

@@ -2,6 +2,7 @@
 
 import ast
 import hashlib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -17,9 +18,20 @@ def code_hash(*modules: str) -> str:
 
     The data files beside a module (see DATA) count with it. Comments and formatting do not count;
     modules found by name at run time (plugins) must be named.
+
+    Args:
+        modules: such as `geoevs.core.files`; `MODULE:Class.method` counts the whole module, but
+            what its functions import by themselves only for this one.
     """
     reached: set[str] = set()
-    waiting = list(modules)
+    waiting: list[str] = []
+    for name in modules:
+        module, _, function = name.partition(":")
+        if function:
+            reached.add(module)
+            waiting.extend(_imports(module, function))
+        else:
+            waiting.append(module)
     while waiting:
         module = waiting.pop()
         if module not in reached:
@@ -44,6 +56,17 @@ def _path(module: str) -> Path | None:
     return None
 
 
+def _nodes(tree: ast.AST, place: str, function: str) -> Iterator[ast.AST]:
+    """All nodes, but for the bodies of functions other than `function`, if there is one."""
+    for node in ast.iter_child_nodes(tree):
+        named = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+        name = f"{place}.{node.name}".removeprefix(".") if named else place
+        other = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and name != function
+        if not (function and other):
+            yield node
+            yield from _nodes(node, name, function)
+
+
 @cache
 def _tree(module: str) -> ast.Module:
     """A module's code; of one that is not Python, as a method being written may be, its text."""
@@ -60,9 +83,10 @@ def _code(module: str) -> bytes:
 
 
 @cache
-def _imports(module: str) -> tuple[str, ...]:
+def _imports(module: str, function: str = "") -> tuple[str, ...]:
+    """The project's modules that a module imports, in functions only in this one if it is named."""
     names: set[str] = set()
-    for node in ast.walk(_tree(module)):
+    for node in _nodes(_tree(module), "", function):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:

@@ -160,14 +160,15 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read what `write_arrays` wrote.
+def read_arrays(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
+    """Read what `write_arrays` wrote: the arrays whose names begin with `prefix`, without it.
 
     Raises:
         GeoEvsError: the file is missing or damaged.
     """
     with whole_file(path), np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+        names = [name for name in file.files if name.startswith(prefix)]
+        return {name.removeprefix(prefix): file[name] for name in names}
 
 
 def read_image(path: Path) -> np.ndarray:

@@ -158,7 +158,7 @@ def training_seconds(folder: Path) -> float:
 
 def finish(folder: Path) -> None:
     """Delete a training's state once its result is kept: changed code must not find it."""
-    (folder / STATE).unlink()
+    (folder / STATE).unlink(missing_ok=True)
 
 
 def fingerprint(*parts: Any) -> str:

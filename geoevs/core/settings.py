@@ -71,6 +71,10 @@ class OneOf:
 
     words: Collection[str]
 
+    def __post_init__(self) -> None:
+        # Annotations are compared and hashed, which a dictionary's keys are not.
+        object.__setattr__(self, "words", tuple(self.words))
+
     def mistake(self, value: str) -> str:
         """What is wrong with a word, or nothing."""
         return "" if value in self.words else did_you_mean(value, self.words)
@@ -134,6 +138,16 @@ def make_settings(who: str, kind: type[Settings], values: Mapping[str, Any]) -> 
     """
     _check_section(who, (), values, kind)
     return _filled(kind(), values)
+
+
+def check_fields(who: str, settings: Any) -> None:
+    """Check what a dataclass was made with, for its `__post_init__`.
+
+    Raises:
+        SettingError: a field's value is of another type or beyond its bounds.
+    """
+    for field in filter(lambda field: field.init, dataclasses.fields(settings)):
+        _check_value(who, (field.name,), getattr(settings, field.name), field.type)
 
 
 def check_settings_class(kind: type, where: str) -> None:
@@ -201,7 +215,11 @@ def _mistake(value: Any, annotation: Any) -> str:
     if annotation in PLAIN:
         return "" if _is_plain(value, annotation) else f"write {PLAIN[annotation]}"
     if dataclasses.is_dataclass(annotation):
-        return "write its settings as NAME: VALUE, indented under it"
+        return (
+            ""
+            if isinstance(value, annotation)
+            else "write its settings as NAME: VALUE, indented under it"
+        )
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping_mistake(value, parts)
     if isinstance(origin, type) and issubclass(origin, Collection):

@@ -13,16 +13,30 @@ from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import to_uint8
-from geoevs.core.networks import mixed_precision
-from geoevs.core.optimising import fingerprint
+from geoevs.core.networks import best_device, mixed_precision, seeded
+from geoevs.core.optimising import Optimisation, fingerprint, finish, optimise
+from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
-from geoevs.diffusion.autoencoder import Autoencoder, to_arrays, to_tensor
-from geoevs.diffusion.denoiser import Denoiser
+from geoevs.diffusion.autoencoder import (
+    NANO_BLOCK,
+    Autoencoder,
+    nano_autoencoder,
+    to_arrays,
+    to_tensor,
+)
+from geoevs.diffusion.denoiser import Denoiser, nano_unet
 from geoevs.diffusion.latents import denoising_losses, encode_images
-from geoevs.diffusion.process import TIMESTEPS, Diffusion
+from geoevs.diffusion.prior import load_autoencoder, save_autoencoder, save_denoiser
+from geoevs.diffusion.process import Diffusion
+from geoevs.diffusion.sampling import TIMESTEPS
 from geoevs.scenes.store import Scene
 
 KL_WEIGHT = 1e-5
+CROP = 64, 64
+"""Height and width of the autoencoder's crops, pixels."""
+
+STATISTICS = 128
+"""Images, at least, that give the autoencoder's first weights and its latents' scale."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +67,85 @@ def read_images(scenes: Sequence[Path]) -> Images:
         found = ", ".join(f"{height} x {width}" for height, width in sizes)
         raise GeoEvsError(f"scenes differ in resolution ({found}); train on those of one")
     return Images(np.stack(images), names)
+
+
+def pretrain_autoencoder(
+    scenes: Sequence[Path],
+    batch: int,
+    steps: int,
+    learning_rate: float,
+    seed: int,
+    work: Path,
+    out: Path,
+    crop: tuple[int, int] = CROP,
+) -> None:
+    """Train this suite's autoencoder on the images of scenes; weights are stored as float16.
+
+    Its first weights are the best linear code of the images, which training starts from: weight
+    decay would pull it away from that.
+
+    Args:
+        scenes: scene stores of one resolution.
+        batch: crops a step.
+        steps: of the optimiser.
+        learning_rate: its peak.
+        seed: decides first weights and every batch.
+        work: the training's own folder (see `optimise`).
+        out: the weights' file.
+        crop: height and width of crops, pixels.
+
+    Raises:
+        GeoEvsError: resolutions differ, crops do not fit, or a loss or gradient is not finite.
+    """
+    images = read_images(scenes)
+    with seeded(seed, "autoencoder"):
+        autoencoder = Autoencoder(nano_autoencoder(), NANO_BLOCK)
+    some = to_tensor(images.rgb[:: max(1, len(images) // STATISTICS)])
+    autoencoder.fit_linear(some)
+    device = best_device()
+    task = AutoencoderTask(autoencoder.to(device), images, batch, crop)
+    with training_bar(f"autoencoder on {len(images)} images", steps) as report:
+        optimisation = Optimisation(steps, learning_rate, weight_decay=0.0)
+        trained = optimise(task, optimisation, seed, "autoencoder", work, report)
+    trained.fit_statistics(some.to(device))
+    save_autoencoder(out, trained, torch.float16)
+    finish(work)
+
+
+def pretrain_prior(
+    scenes: Sequence[Path],
+    autoencoder: Path,
+    batch: int,
+    steps: int,
+    learning_rate: float,
+    seed: int,
+    work: Path,
+    out: Path,
+) -> None:
+    """Train the unconditional denoiser on the images of scenes; weights are stored as float16.
+
+    Args:
+        scenes: scene stores of one resolution.
+        autoencoder: what `pretrain_autoencoder` wrote.
+        batch: images a step.
+        steps: of the optimiser.
+        learning_rate: its peak.
+        seed: decides first weights and every batch.
+        work: the training's own folder (see `optimise`).
+        out: the weights' file.
+
+    Raises:
+        GeoEvsError: resolutions differ, or a loss or gradient is not finite.
+    """
+    device = best_device()
+    images, frozen = read_images(scenes), load_autoencoder(autoencoder).to(device)
+    with seeded(seed, "prior"):
+        denoiser = Denoiser(nano_unet(frozen.latent_channels), None).to(device)
+    task = PriorTask(denoiser, frozen, Diffusion(), images, batch)
+    with training_bar(f"prior on {len(images)} images", steps) as report:
+        trained = optimise(task, Optimisation(steps, learning_rate), seed, "prior", work, report)
+    save_denoiser(out, trained, Diffusion(), torch.float16)
+    finish(work)
 
 
 class AutoencoderTask:

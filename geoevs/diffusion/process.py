@@ -3,21 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import diffusers
 import torch
 from torch import Tensor
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.settings import OneOf, check_fields
+from geoevs.diffusion.sampling import PREDICTIONS, SAMPLERS, SCHEDULES, TIMESTEPS
 
-PREDICTIONS = ("epsilon", "v_prediction", "sample")
-SCHEDULES = ("squaredcos_cap_v2", "scaled_linear", "linear")
-SAMPLERS = {
-    "ddim": diffusers.DDIMScheduler,
-    "dpm-solver": diffusers.DPMSolverMultistepScheduler,
-    "euler": diffusers.EulerDiscreteScheduler,
-}
-TIMESTEPS = 1000
 LARGEST_LATENT = 10.0  # normalised latents have unit variance
 
 
@@ -34,20 +29,15 @@ class Diffusion:
         GeoEvsError: there is no such prediction or schedule.
     """
 
-    prediction: str = "v_prediction"
-    schedule: str = "squaredcos_cap_v2"
+    prediction: Annotated[str, OneOf(PREDICTIONS)] = "v_prediction"
+    schedule: Annotated[str, OneOf(SCHEDULES)] = "squaredcos_cap_v2"
     beta_start: float = 0.00085
     beta_end: float = 0.012
 
     def __post_init__(self) -> None:
-        for name, value, allowed in (
-            ("prediction", self.prediction, PREDICTIONS),
-            ("schedule", self.schedule, SCHEDULES),
-        ):
-            if value not in allowed:
-                raise GeoEvsError(f"there is no {name} '{value}'; {did_you_mean(value, allowed)}")
+        check_fields("the diffusion process", self)
 
-    def scheduler(self, kind: str = "ddim") -> diffusers.SchedulerMixin:
+    def scheduler(self, sampler: str = "ddim") -> diffusers.SchedulerMixin:
         """A diffusers scheduler of this process.
 
         The last timestep is pure noise wherever the prediction can be made from that: sampling
@@ -56,7 +46,8 @@ class Diffusion:
         Raises:
             GeoEvsError: there is no such sampler.
         """
-        check_sampler(kind)
+        if sampler not in SAMPLERS:
+            raise GeoEvsError(f"there is no sampler '{sampler}'; {did_you_mean(sampler, SAMPLERS)}")
         settings = {
             "num_train_timesteps": TIMESTEPS,
             "beta_schedule": self.schedule,
@@ -66,9 +57,9 @@ class Diffusion:
             "timestep_spacing": "trailing",
             "rescale_betas_zero_snr": self.prediction != "epsilon",
         }
-        if kind == "ddim":  # it clips to [-1, 1] by default, which latents exceed
+        if sampler == "ddim":  # it clips to [-1, 1] by default, which latents exceed
             settings["clip_sample"] = False
-        return SAMPLERS[kind](**settings)
+        return getattr(diffusers, SAMPLERS[sampler])(**settings)
 
     @cached_property
     def _noise(self) -> diffusers.SchedulerMixin:
@@ -125,16 +116,6 @@ class Diffusion:
                 predicted = _bound_clean(predicted, shown, signal)
             latent = scheduler.step(predicted, timestep, latent).prev_sample
         return latent
-
-
-def check_sampler(kind: str) -> None:
-    """Check that there is a sampler of this name.
-
-    Raises:
-        GeoEvsError: there is none.
-    """
-    if kind not in SAMPLERS:
-        raise GeoEvsError(f"there is no sampler '{kind}'; {did_you_mean(kind, SAMPLERS)}")
 
 
 def _bound_clean(

@@ -4,6 +4,7 @@ The paper fine-tunes with fixed camera poses, so depth alone is supervised (sect
 truth on procedural scenes, by LiDAR elsewhere.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +15,29 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8
-from geoevs.core.networks import mixed_precision
-from geoevs.core.optimising import Optimisation, fingerprint, optimise
+from geoevs.core.files import to_uint8, write_json
+from geoevs.core.networks import best_device, mixed_precision
+from geoevs.core.optimising import (
+    Optimisation,
+    fingerprint,
+    finish,
+    optimise,
+    training_seconds,
+)
+from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_loss import depth_loss
-from geoevs.geometry.vggt import DepthPrediction, Vggt, VggtConfig, resize_image
+from geoevs.geometry.vggt import (
+    VGGT_NANO,
+    DepthPrediction,
+    Vggt,
+    VggtConfig,
+    load_vggt,
+    new_vggt,
+    resize_image,
+    save_vggt,
+)
+from geoevs.methods.trained import seconds_file
 from geoevs.projection import zbuffer
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.depths import read_depths
@@ -43,6 +61,51 @@ class DepthFrames:
 
     def __len__(self) -> int:
         return len(self.images)
+
+
+def train_depth_network(
+    scenes: Sequence[Path],
+    depths: Sequence[Path],
+    start: Path | None,
+    batch: int,
+    optimisation: Optimisation,
+    seed: int,
+    work: Path,
+    out: Path,
+    dtype: torch.dtype = torch.float32,
+) -> None:
+    """Fine-tune VGGT on driving scenes, or train a nano one from scratch (section 3.2).
+
+    Wall seconds go beside the weights (see `seconds_file`).
+
+    Args:
+        scenes: scene stores.
+        depths: their folders of dense truth; none: LiDAR supervises.
+        start: VGGT weights to fine-tune; None: a new nano network.
+        batch: frames a step.
+        optimisation: how long and how fast.
+        seed: decides a new network's weights and every batch.
+        work: the training's own folder (see `optimise`).
+        out: the weights' file.
+        dtype: what they are stored as.
+
+    Raises:
+        GeoEvsError: scenes cannot be learned from together, or a loss or gradient is not finite.
+    """
+    model = load_vggt(start) if start else new_vggt(VGGT_NANO, Rng(seed, "vggt").torch)
+    frames = read_depth_frames(scenes, depths, model.config)
+    count = sum(parameter.numel() for parameter in model.parameters())
+    described = f"{len(frames)} frames of {frames.images.shape[1]} views"
+    print(
+        f"VGGT: {described}, {count / 1e6:.1f} M parameters, {optimisation.steps} steps",
+        file=sys.stderr,
+    )
+    model.to(best_device())
+    with training_bar("VGGT", optimisation.steps) as report:
+        trained = train_vggt(model, frames, batch, optimisation, seed, work, report)
+    write_json(seconds_file(out), {"training": training_seconds(work)})
+    save_vggt(trained, out, dtype)
+    finish(work)
 
 
 def train_vggt(

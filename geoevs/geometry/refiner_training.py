@@ -9,14 +9,22 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.networks import mixed_precision
-from geoevs.core.optimising import fingerprint
+from geoevs.core.networks import best_device, mixed_precision, seeded
+from geoevs.core.optimising import Optimisation, fingerprint, finish, optimise
+from geoevs.core.progress import progress_bar, training_bar
 from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_loss import depth_loss
-from geoevs.geometry.depth_models import NetworkDepth
+from geoevs.geometry.depth_models import NetworkDepth, VggtDepth
 from geoevs.geometry.finetuning import BRIGHTEST, DARKEST, FAR
-from geoevs.geometry.refinement import CENTRE, COLOURS, FITTED, DepthRefiner, refiner_inputs
-from geoevs.geometry.vggt import DepthPrediction
+from geoevs.geometry.refinement import (
+    CENTRE,
+    COLOURS,
+    FITTED,
+    NANO_CHANNELS,
+    DepthRefiner,
+    refiner_inputs,
+)
+from geoevs.geometry.vggt import DepthPrediction, save_vggt
 from geoevs.methods.contract import Views
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.store import Scene
@@ -32,6 +40,51 @@ class RefinerViews:
 
     def __len__(self) -> int:
         return len(self.inputs)
+
+
+def train_depth_refiner(
+    model: Path,
+    scenes: Sequence[Path],
+    depths: Sequence[Path],
+    batch: int,
+    optimisation: Optimisation,
+    seed: int,
+    work: Path,
+    out: Path,
+) -> None:
+    """Train what refines a VGGT's depth by LiDAR; both are written together, as float16.
+
+    Args:
+        model: VGGT weights; a refiner that they have is left out.
+        scenes: scene stores.
+        depths: the folder of dense truth of each.
+        batch: views a step.
+        optimisation: how long and how fast.
+        seed: decides first weights and every batch.
+        work: the training's own folder (see `optimise`).
+        out: the weights' file.
+
+    Raises:
+        GeoEvsError: a scene has no dense truth, or a loss or gradient is not finite.
+    """
+    if len(scenes) != len(depths):
+        raise GeoEvsError(
+            f"there are {len(scenes)} scenes and {len(depths)} folders of true depth; give one for "
+            "each scene"
+        )
+    network = VggtDepth(model)
+    network.model.refiner = None
+    with progress_bar("depth of scenes", len(scenes)) as advance:
+        views = read_refiner_views(scenes, depths, network, advance)
+    with seeded(seed, "depth-refiner"):
+        refiner = DepthRefiner(NANO_CHANNELS)
+    refiner.to(best_device())
+    with training_bar(f"depth refiner on {len(views)} views", optimisation.steps) as report:
+        task = RefinementTask(refiner, views, batch)
+        trained = optimise(task, optimisation, seed, "depth-refiner", work, report)
+    network.model.set_refiner(trained, NANO_CHANNELS)
+    save_vggt(network.model, out, torch.float16)
+    finish(work)
 
 
 def read_refiner_views(

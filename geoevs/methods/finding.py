@@ -1,13 +1,26 @@
-"""Methods by the names of their folders."""
+"""Methods and their trainings by the names of their folders."""
+
+from typing import Any
 
 from geoevs.core.plugins import find_plugins, load_plugin
 from geoevs.core.settings import check_options
 from geoevs.methods.contract import Adapter
+from geoevs.methods.training import Training, check_training_class
+
+FOLDERS = ("geoevs.generator", "baselines", "baselines.controls")
+"""Packages whose folders are methods; where two hold the same name, the earlier one wins."""
 
 
 def find_methods() -> dict[str, str]:
     """Every method's name and module."""
-    return find_plugins("adapter", "geoevs.generator", "baselines", "baselines.controls")
+    return find_plugins("adapter", *FOLDERS)
+
+
+def find_trainings() -> dict[str, str]:
+    """The name of every method that trains beforehand, and the module of its training."""
+    methods = find_methods()
+    found = find_plugins("training", *FOLDERS)
+    return {name: module for name, module in found.items() if name in methods}
 
 
 def method_class(name: str) -> type[Adapter]:
@@ -19,11 +32,24 @@ def method_class(name: str) -> type[Adapter]:
     return load_plugin("method", name, find_methods(), "Method")
 
 
-def make_method(name: str, options: dict) -> Adapter:
+def training_class(name: str) -> type[Training]:
+    """The class of the training of the method called `name`.
+
+    Raises:
+        GeoEvsError: there is none (the sentence names the nearest one), or it lacks parts of the
+            contract.
+    """
+    trainings = find_trainings()
+    kind = load_plugin("method that trains", name, trainings, "Training")
+    check_training_class(kind, trainings[name].replace(".", "/") + ".py")
+    return kind
+
+
+def make_method(name: str, options: dict[str, Any]) -> Adapter:
     """Make the method called `name` with its options.
 
     Raises:
-        GeoEvsError: no such method, or an option that it does not have.
+        GeoEvsError: no such method, or an option that it does not have or take.
     """
     method = method_class(name)
     check_options(f"method '{name}'", method, options)

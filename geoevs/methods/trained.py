@@ -10,6 +10,12 @@ from geoevs.core.files import link_file, read_json
 FAILURE_FILE = "failure.json"
 """In place of networks: why their training failed."""
 
+SECONDS_FILE = "seconds.json"
+"""How long networks in a folder were trained, by training."""
+
+GEOMETRY_FILE = "geometry.safetensors"
+"""The depth network's weights beside networks that learned from its depth."""
+
 
 def read_trained(folder: Path) -> dict[str, Any]:
     """The settings beside a training's networks.
@@ -28,7 +34,7 @@ def seconds_file(networks: Path) -> Path:
 
     It lies beside them and not in their settings, because no two trainings share it.
     """
-    return networks / "seconds.json" if networks.is_dir() else networks.with_suffix(".seconds.json")
+    return networks / SECONDS_FILE if networks.is_dir() else networks.with_suffix(".seconds.json")
 
 
 def trained_seconds(networks: Path) -> float | None:

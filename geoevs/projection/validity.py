@@ -27,7 +27,7 @@ from geoevs.projection.kernels import (
     zbuffer_torch,
 )
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import PointCloud
+from geoevs.scenes.scene import Frame, PointCloud
 
 if TYPE_CHECKING:
     import torch  # importing it costs seconds, so only those who hold tensors pay
@@ -162,12 +162,12 @@ def zbuffer(
     _check_points(points)
     tensor = _is_tensor(points)
     if tensor and points.device.type != "cpu":
-        found = ZBuffer(*zbuffer_torch(points.detach(), lens_of(camera)))
-        return _drop_leaks_torch(found) if visibility == "footprint" else found
-    found = ZBuffer(*zbuffer_numba(_readable(points), lens_of(camera)))
+        buffer = ZBuffer(*zbuffer_torch(points.detach(), lens_of(camera)))
+        return _drop_leaks_torch(buffer) if visibility == "footprint" else buffer
+    buffer = ZBuffer(*zbuffer_numba(_readable(points), lens_of(camera)))
     if visibility == "footprint":
-        found = _drop_leaks(found)
-    return ZBuffer(*map(sys.modules["torch"].from_numpy, found)) if tensor else found
+        buffer = _drop_leaks(buffer)
+    return ZBuffer(*map(sys.modules["torch"].from_numpy, buffer)) if tensor else buffer
 
 
 def rasterize_points(
@@ -227,11 +227,11 @@ def visible(
     """
     index = zbuffer(points, camera, visibility).index
     if _is_tensor(points):
-        seen = points.new_zeros(len(points), dtype=sys.modules["torch"].bool)
+        front = points.new_zeros(len(points), dtype=sys.modules["torch"].bool)
     else:
-        seen = np.zeros(len(points), bool)
-    seen[index[index >= 0]] = True
-    return seen
+        front = np.zeros(len(points), bool)
+    front[index[index >= 0]] = True
+    return front
 
 
 def colour_points(
@@ -276,6 +276,12 @@ def colour_points(
     return dataclasses.replace(cloud, rgb=rgb, camera=chosen)
 
 
+def colour_frame(frame: Frame) -> Frame:
+    """The frame with its LiDAR points coloured by its own cameras (see `colour_points`)."""
+    points = colour_points(frame.points, frame.cameras, frame.images)
+    return dataclasses.replace(frame, points=points)
+
+
 def _check_points(points: Array) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
         raise GeoEvsError(f"points have shape {tuple(points.shape)}; reshape them to (N, 3)")
@@ -297,23 +303,23 @@ def _readable(points: Array) -> np.ndarray:
     return np.ascontiguousarray(points if native else points.astype(np.float64))
 
 
-def _drop_leaks(found: ZBuffer) -> ZBuffer:
+def _drop_leaks(buffer: ZBuffer) -> ZBuffer:
     """The footprint rule: no point far behind the nearest one of the window around it."""
-    solid = np.where(found.index >= 0, found.depth, np.inf)
+    solid = np.where(buffer.index >= 0, buffer.depth, np.inf)
     side = 2 * FOOTPRINT_RADIUS + 1
     nearest = cv2.erode(solid, np.ones((side, side), np.uint8))
-    hidden = nearest < found.depth * (1 - FOOTPRINT_TOLERANCE)
-    return ZBuffer(np.where(hidden, -1, found.index), np.where(hidden, 0.0, found.depth))
+    hidden = nearest < buffer.depth * (1 - FOOTPRINT_TOLERANCE)
+    return ZBuffer(np.where(hidden, -1, buffer.index), np.where(hidden, 0.0, buffer.depth))
 
 
-def _drop_leaks_torch(found: ZBuffer) -> ZBuffer:
+def _drop_leaks_torch(buffer: ZBuffer) -> ZBuffer:
     """`_drop_leaks` in torch ops."""
     torch = sys.modules["torch"]
-    solid = found.depth.masked_fill(found.index < 0, torch.inf)
+    solid = buffer.depth.masked_fill(buffer.index < 0, torch.inf)
     side = 2 * FOOTPRINT_RADIUS + 1
     nearest = -torch.nn.functional.max_pool2d(-solid[None], side, 1, FOOTPRINT_RADIUS)[0]
-    hidden = nearest < found.depth * (1 - FOOTPRINT_TOLERANCE)
-    return ZBuffer(found.index.masked_fill(hidden, -1), found.depth.masked_fill(hidden, 0))
+    hidden = nearest < buffer.depth * (1 - FOOTPRINT_TOLERANCE)
+    return ZBuffer(buffer.index.masked_fill(hidden, -1), buffer.depth.masked_fill(hidden, 0))
 
 
 def _squared_slope(points: np.ndarray, camera: Camera) -> np.ndarray:

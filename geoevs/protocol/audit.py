@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import read_image, to_float
@@ -33,8 +34,13 @@ from geoevs.scenes.store import Scene
 
 AUDIT_TYPES = {
     **dict.fromkeys(("dataset", "scene", "target", "part", "method", "variant"), "string"),
-    **{"metric": "string", "frame": "int64", "share": "float64", "support_ratio": "float64"},
-    **{"value": "float64", "dense": "float64", "pixels": "int64"},
+    "metric": "string",
+    "frame": "int64",
+    "share": "float64",
+    "support_ratio": "float64",
+    "value": "float64",
+    "dense": "float64",
+    "pixels": "int64",
 }
 TWINS: dict[str, tuple[type[MaskedMean], str]] = {
     "sparse_psnr": (PSNR, "dense"),
@@ -60,8 +66,8 @@ SURFACE = 0.05
 
 def audit_rows(
     run: Path, dataset: str, scene: str, entries: Sequence[MethodEntry], seed: int
-) -> list[dict[str, Any]]:
-    """All rows of one scene; without dense truth, of the ceiling alone.
+) -> pd.DataFrame:
+    """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling alone.
 
     Args:
         run: the run's folder; its files are found by their usual names.
@@ -99,7 +105,8 @@ def audit_rows(
             which = {"target": target.camera.name, "frame": target.frame}
             rows += [{**who, **which, **row} for row in judged]
     blank = {"method": "", "variant": "", "share": 1.0, "dense": np.nan}
-    return [{**common, **blank, **row} for row in rows]
+    filled = [{**common, **blank, **row} for row in rows]
+    return pd.DataFrame(filled, columns=list(AUDIT_TYPES)).astype(AUDIT_TYPES)
 
 
 def _value(
@@ -174,14 +181,14 @@ def _reference_errors(world: World, target: Target, depths: Path) -> Iterator[di
         leak = buffer.depth[valid] > farthest[valid] * (1 + SURFACE)
         wrong = leak | mixed[chosen]
         error = np.square(points.rgb[chosen] - truth[valid]).mean(axis=1)
-        found = {
+        values = {
             "leak": leak.mean(),
             "colour": mixed[chosen].mean(),
             "wrong": wrong.mean(),
             "psnr": -10 * np.log10(error.mean()),
             "psnr_right": -10 * np.log10(error[~wrong].mean()) if (~wrong).any() else np.nan,
         }
-        for name, value in found.items():
+        for name, value in values.items():
             yield {
                 "part": "reference",
                 "metric": f"{visibility}_{name}",
@@ -198,9 +205,9 @@ def _mixed_colours(scene: Scene, points: PointCloud, frame: int, depths: Path) -
     mixed = np.zeros(len(points), bool)
     dense = read_depths(depths, frame)
     for number, name in enumerate(scene.cameras):
-        mine = np.flatnonzero(points.camera == number)
+        of_camera = np.flatnonzero(points.camera == number)
         camera = scene.camera(name, frame)
-        uv, depth = project_points(points.xyz[mine], camera)
+        uv, depth = project_points(points.xyz[of_camera], camera)
         last = np.array([camera.width, camera.height]) - 2
         column, row = np.clip(np.floor(uv - 0.5), 0, last).astype(int).T
         cell = np.stack([dense[name][row + down, column + right] for down, right in CELL])
@@ -209,7 +216,7 @@ def _mixed_colours(scene: Scene, points: PointCloud, frame: int, depths: Path) -
         hidden = depth > cell.max(axis=0) * (1 + SURFACE)
         across, down = depth_edges(dense[name])
         torn = across[row, column] | across[row + 1, column] | down[row, column]
-        mixed[mine] = hidden | beyond | torn | down[row, column + 1]
+        mixed[of_camera] = hidden | beyond | torn | down[row, column + 1]
     return mixed
 
 
@@ -228,8 +235,13 @@ def _ceiling(scene: Scene) -> Iterator[dict[str, Any]]:
             images = {other: scene.image(other, frame) for other in others}
             coloured = colour_points(points, others, images)
             image, mask = _shown(coloured, camera)
-            row = {"part": "ceiling", "target": name, "frame": frame}
-            row |= {"support_ratio": mask.mean(), "pixels": int(mask.sum())}
+            row = {
+                "part": "ceiling",
+                "target": name,
+                "frame": frame,
+                "support_ratio": mask.mean(),
+                "pixels": int(mask.sum()),
+            }
             for metric, kind in (("sparse_psnr", PSNR), ("sparse_ssim", SSIM)):
                 if mask.any():
                     yield {**row, "metric": metric, "value": _value(kind, photo, image, mask)}

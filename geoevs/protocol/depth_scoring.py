@@ -87,14 +87,17 @@ def depth_scores(
     rows = []
     for candidate in candidates:
         for scale in candidate.scales:
-            for frame, found, seconds in _timed_depths(scene, candidate.model, SCALES[scale]):
+            for frame, estimate, seconds in _timed_depths(scene, candidate.model, SCALES[scale]):
                 described = {
                     **common,
-                    **{"frame": frame, "model": candidate.name, "stage": candidate.stage},
-                    **{"scale": scale, "seconds": seconds},
+                    "frame": frame,
+                    "model": candidate.name,
+                    "stage": candidate.stage,
+                    "scale": scale,
+                    "seconds": seconds,
                     "parameters": candidate.model.parameters,
                 }
-                rows += _frame_rows(scene, depths, frame, found, described)
+                rows += _frame_rows(scene, depths, frame, estimate, described)
                 advance()
     return pd.DataFrame(rows, columns=list(DEPTH_SCORE_TYPES)).astype(DEPTH_SCORE_TYPES)
 
@@ -107,23 +110,23 @@ def _timed_depths(
     model.depths(views, views.frames[0])  # the first call compiles and allocates
     for frame in views.frames:
         with timed() as spent:
-            found = model.depths(views, frame)
-        yield frame, found, spent.seconds
+            estimate = model.depths(views, frame)
+        yield frame, estimate, spent.seconds
 
 
 def _frame_rows(
     scene: Scene,
     depths: Path,
     frame: int,
-    found: dict[str, np.ndarray],  # each [H, W] metres, 0 = none
+    estimate: dict[str, np.ndarray],  # each [H, W] metres, 0 = none
     described: dict[str, Any],
 ) -> list[dict[str, Any]]:
     rows = []
     truth, origin = _true_depths(scene, depths, frame)
     for camera in scene.cameras:
         known = (truth[camera] > 0) & (truth[camera] <= FARTHEST)
-        mask = known & (found[camera] > 0)
-        scores = depth_metrics(found[camera], truth[camera], mask)
+        mask = known & (estimate[camera] > 0)
+        scores = depth_metrics(estimate[camera], truth[camera], mask)
         scores[COVERAGE] = float(mask.sum() / known.sum()) if known.any() else math.nan
         for metric, value in scores.items():
             pixels = np.count_nonzero(known if metric == COVERAGE else mask)

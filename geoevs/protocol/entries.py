@@ -30,8 +30,8 @@ OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_me
 class MethodEntry:
     """One entrant of a run: a method, what it is called, its options and its seed.
 
-    `training` names the training (of the config's `training.variants`) whose weights it takes, with
-    the entrant's seed; methods that learn nothing beforehand have none.
+    `training` names the training whose weights it takes, as METHOD/VARIANT, with the entrant's
+    seed; methods that learn nothing beforehand have none.
     """
 
     method: str

@@ -3,6 +3,10 @@
 Every metric takes `preds` and `target`, (H, W, C) in [0, 1], and `mask`, (H, W) bool, the valid
 pixels; what other pixels hold, NaN included, never matters. A full mask gives the usual dense
 metric. No valid pixel at all gives NaN.
+
+In the formulas below x and y are the predicted and the true image, M is the set of valid pixels of
+all images added, |M| their number, C the number of channels and R the `data_range`; a sum over M
+runs over the pixels' channels too.
 """
 
 import math
@@ -21,9 +25,13 @@ from geoevs.protocol.weights import missing_weights
 class MaskedMean(ABC):
     """A mean over valid pixels, or windows, of any number of images.
 
+    Every valid value weighs the same, whichever image it comes from.
+
     Attributes:
+        data_range: the largest value of an image minus the smallest one it could have.
         total: the sum so far.
         count: how many values it sums.
+        higher_is_better: whether a larger value is the better one.
     """
 
     data_range: float = 1.0
@@ -64,7 +72,7 @@ def _sum(values: np.ndarray) -> float:
 
 
 class MaskedPixelMean(MaskedMean):
-    """Mean over valid pixels of an error of each pixel alone; subclasses say which.
+    """Mean over valid pixels of an error that needs no neighbours; subclasses say which.
 
     Attributes:
         norm: OpenCV's name of the error that is summed over pixels and channels.
@@ -89,25 +97,27 @@ class MaskedPixelMean(MaskedMean):
 
 
 class MAE(MaskedPixelMean):
-    """Mean absolute error per channel."""
+    """Mean absolute error: sum over M of |x - y| / (C |M|)."""
 
     higher_is_better = False
     norm = cv2.NORM_L1
 
 
 class RMSE(MaskedPixelMean):
-    """Root mean squared error per channel."""
+    """Root mean squared error: sqrt(sum over M of (x - y)^2 / (C |M|))."""
 
     higher_is_better = False
     norm = cv2.NORM_L2SQR
 
     def finish(self, mean: float) -> float:
-        """The root."""
+        """The root of the mean squared error."""
         return math.sqrt(mean)
 
 
 class PSNR(MaskedPixelMean):
-    """Peak signal-to-noise ratio in dB, squared error averaged over channels; exact = infinity.
+    """Peak signal-to-noise ratio in dB: 10 log10(R^2 / E), E = sum over M of (x - y)^2 / (C |M|).
+
+    An exact copy has infinity. With a full mask this is scikit-image's `peak_signal_noise_ratio`.
 
     >>> metric = PSNR()
     >>> metric.update(np.full((1, 2, 3), 0.6), np.full((1, 2, 3), 0.5), np.ones((1, 2), bool))
@@ -118,22 +128,32 @@ class PSNR(MaskedPixelMean):
     norm = cv2.NORM_L2SQR
 
     def finish(self, mean: float) -> float:
-        """Decibels."""
+        """Decibels of the mean squared error."""
         return math.inf if mean == 0 else 10 * math.log10(self.data_range**2 / mean)
 
 
 class PSNRSum(PSNR):
-    """The paper's literal S-PSNR: the squared norm summed over channels (4.77 dB lower)."""
+    """The paper's literal S-PSNR: 10 log10(R^2 / E), E = sum over M of (x - y)^2 / |M|.
+
+    Section 3.5 of the paper sums the squared error over channels and does not average it: of three
+    channels the value is 10 log10(3) = 4.77 dB below PSNR's.
+    """
 
     per_channel = False
 
 
 SSIM_SIGMA = 1.5
+"""Standard deviation of a window's Gaussian weights, in pixels (Wang et al. 2004)."""
 SSIM_RADIUS = 5
+"""Pixels from a window's centre to its border: windows are 11 x 11 (Wang et al. 2004)."""
 SSIM_K1, SSIM_K2 = 0.01, 0.03
-# A window with one effective pixel has no variance and scores luminance alone. Kish's effective
-# count, (sum w)^2 / sum w^2, is 1 there and 28 under a full mask.
+"""Shares of the data range that keep SSIM's quotients finite (Wang et al. 2004)."""
 SSIM_MIN_EFFECTIVE_PIXELS = 3.0
+"""Fewest effective pixels of a window that counts, by Kish: (sum of w)^2 / sum of w^2.
+
+A window with one effective pixel has no variance and scores luminance alone; under a full mask a
+window has 28.
+"""
 
 
 def _gaussian() -> np.ndarray:
@@ -155,9 +175,18 @@ def _blur(image: np.ndarray, kernel: np.ndarray = _KERNEL) -> np.ndarray:
 class SSIM(MaskedMean):
     """Structural similarity by normalised convolution: window sums run over valid pixels only.
 
-    Gaussian 11 x 11 windows, sigma 1.5, averaged over valid centres whose window lies within the
-    image and holds SSIM_MIN_EFFECTIVE_PIXELS. With a full mask this is scikit-image's
-    `structural_similarity(gaussian_weights=True, use_sample_covariance=False)`.
+    A window is 11 x 11 pixels with Gaussian weights w, and w = 0 at invalid pixels. For every
+    window and channel::
+
+        mx = sum of w x / sum of w                    my = sum of w y / sum of w
+        vx = sum of w x^2 / sum of w - mx^2           vy = sum of w y^2 / sum of w - my^2
+        c = sum of w x y / sum of w - mx my
+        SSIM = (2 mx my + C1) (2 c + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2))
+
+    with C1 = (0.01 R)^2 and C2 = (0.03 R)^2 (Wang et al. 2004; normalised convolution is Knutsson
+    and Westin's, 1993). The metric is its mean over channels and over windows that lie within the
+    image, whose centre is valid and which hold SSIM_MIN_EFFECTIVE_PIXELS. With a full mask this is
+    scikit-image's `structural_similarity(gaussian_weights=True, use_sample_covariance=False)`.
     """
 
     def update(
@@ -181,10 +210,13 @@ class SSIM(MaskedMean):
         self.count += int(centres.sum())
 
     def _similarity(self, x: np.ndarray, y: np.ndarray, norm: np.ndarray | None) -> np.ndarray:
-        """(H - 10, W - 10, C) SSIM map of zero-filled images, given the windows' weight sums.
+        """(H - 10, W - 10, C) SSIM of every window of zero-filled images: the class's formula.
 
-        Without sums all of them are one. It needs the sum of both variances alone, and steps work
-        in place: at 512 x 512, making arrays takes as long as filling them.
+        `norm` holds the windows' weight sums, (H - 10, W - 10, 1); None says that all of them are
+        one. The two variances are only ever added, hence one blur of x^2 + y^2 gives vx + vy. The
+        steps work in place: `product` becomes 2 mx my + C1, `covariance` 2 c + C2, `squares`
+        mx^2 + my^2 + C1 and `variances` vx + vy + C2. At 512 x 512 making new arrays would take as
+        long as filling them.
         """
         mean_x, mean_y, variances, covariance = (_blur(z) for z in (x, y, x * x + y * y, x * y))
         if norm is not None:
@@ -206,14 +238,17 @@ class SSIM(MaskedMean):
 
 
 def _scale_shift(values: np.ndarray, scale: float, shift: float) -> np.ndarray:
-    """In place."""
+    """`values` themselves, made scale * values + shift in place."""
     values *= scale
     values += shift
     return values
 
 
 def _windows(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weight sums of the windows (H - 10, W - 10, 1), and which of them count; one where not."""
+    """Weight sums of the windows, (H - 10, W - 10, 1), and which windows count, (H - 10, W - 10).
+
+    The sum of a window that does not count is one, so that it can be divided by.
+    """
     weights = mask.astype(np.float64)
     norm = _blur(weights)
     effective = norm**2 / np.maximum(_blur(weights, _KERNEL**2), 1e-12)
@@ -223,7 +258,11 @@ def _windows(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class SSIMZeroFill(SSIM):
-    """The naive reading: dense SSIM of zero-filled images. It inflates as support shrinks."""
+    """The naive reading of sparse SSIM: dense SSIM of both images with invalid pixels set to zero.
+
+    It is SSIM's formula without a mask, averaged over every window within the image. Windows where
+    both images are black score one, hence it inflates as support shrinks.
+    """
 
     def update(
         self,
@@ -240,13 +279,16 @@ class SSIMZeroFill(SSIM):
 
 
 GMS_STABILITY = 0.0026
+"""T of the formula for images in [0, 1]: 170 / 255^2, from Xue et al.'s T = 170 of 8-bit images."""
 
 
 class GMS(MaskedMean):
     """Mean gradient magnitude similarity of the luma at half resolution (Xue et al. 2014, GMSM).
 
-    What is left of edges, and what edges were added: a perceptual metric without weights. It runs
-    over pixels of the halved image whose 3 x 3 neighbourhood is valid.
+    The mean of (2 gx gy + T) / (gx^2 + gy^2 + T), where gx and gy are the lengths of the two
+    images' Prewitt gradients and T = GMS_STABILITY R^2. The luma is the mean of the channels,
+    averaged over 2 x 2 pixels. The mean runs over pixels of the halved image whose 3 x 3
+    neighbourhood is valid. Lost edges and added edges lower it; a copy has 1. It needs no weights.
     """
 
     def update(
@@ -285,7 +327,12 @@ def _sum_of_halves(image: np.ndarray) -> np.ndarray:
 
 
 class LPIPS(MaskedMean):
-    """Learned perceptual distance (Zhang et al. 2018) with AlexNet, where its weights are here."""
+    """Learned perceptual distance (Zhang et al. 2018), by AlexNet, whose weights must be here.
+
+    The mean over M of d, a map as large as the image: d = sum over layers of the enlarged map
+    sum over channels of w (f(x) - f(y))^2. There f are a layer's features, scaled to length one at
+    every place, and w the learned weights of its channels. Invalid pixels are black in both images.
+    """
 
     higher_is_better = False
 
@@ -332,7 +379,7 @@ class MetricSpec:
 
     @property
     def higher_is_better(self) -> bool:
-        """The better direction."""
+        """Whether a larger value is the better one."""
         return self.kind.higher_is_better
 
 
@@ -359,9 +406,15 @@ METRICS = {
     "gms": MetricSpec(GMS, "dense"),
     "lpips": MetricSpec(LPIPS, "dense"),
 }
-"""Every metric by its name in the rows. Regions: the sparse reference's valid pixels, those of
-them that raw reprojection leaves empty (`new`), those whose point also passes the footprint test,
-and the dense truth's pixels, where there is one, `supported` by raw reprojection or not (`new`).
-Masked targets have other ones: pixels that the degraded condition still has (`supported`), that the
-mask took from it (`removed`), that it never had (`never`), and both of these (`unsupported`). The
-stability suite tells pixels inside boxes of moving cars (`moving`) from others (`still`)."""
+"""Every metric by its name in the rows, with the region of a target that it runs over.
+
+Regions of the sparse reference are its valid pixels (`reference`), those of them that raw
+reprojection leaves empty (`new`), and those whose point also passes the footprint test. Regions of
+the dense truth, where there is one, are all its pixels (`dense`), those that raw reprojection
+supports (`supported`), and the others (`new`).
+
+Masked targets have regions of their own: pixels that the degraded condition still has
+(`supported`), pixels that the mask took from it (`removed`), pixels that it never had (`never`),
+and the last two together (`unsupported`). The stability suite tells pixels inside the boxes of
+moving cars (`moving`) from all others (`still`).
+"""

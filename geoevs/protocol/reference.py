@@ -1,13 +1,14 @@
 """The LiDAR-projected sparse reference of a target, and the masks that score it (section 3.5)."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from geoevs.core.randomness import Rng
 from geoevs.projection import zbuffer
-from geoevs.protocol.condition_masks import RawReprojection
-from geoevs.protocol.records import Records
+from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
+from geoevs.protocol.records import Records, write_records
 from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.store import Scene
@@ -73,6 +74,26 @@ def sparse_reference(
         rank=(rng.permutation(len(pixels)) / max(len(pixels), 1)).astype(np.float32),
         reprojected=reprojected,
     )
+
+
+def write_references(
+    references: Path, masks: Path, scene: Scene, targets: list[Target], seed: int
+) -> None:
+    """Write a scene's sparse references, and the masks that degrade conditions of masked targets.
+
+    Both stand on one raw reprojection, which takes longest; the masks have a file of their own
+    because methods are handed those alone.
+
+    Args:
+        references: what to write of the references.
+        masks: what to write of the masks.
+        scene: the clean scene.
+        targets: all of the scene's.
+        seed: decides which pixels a thinned reference keeps.
+    """
+    reprojection = RawReprojection(scene)
+    write_records(references, make_references(scene, targets, reprojection, seed))
+    write_records(masks, make_condition_masks(targets, reprojection))
 
 
 def make_references(

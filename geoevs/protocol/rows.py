@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.projection import FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE
 from geoevs.protocol.metrics import METRICS, SSIM_MIN_EFFECTIVE_PIXELS, SSIM_RADIUS, SSIM_SIGMA
@@ -73,12 +74,15 @@ def cost_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
 def protocol_fingerprint(scene: Scene, protocol: dict[str, Any]) -> str:
     """Hash of all that must agree before the scores of two scenes may be put together.
 
+    The version of the protocol stands for what a hash of settings does not see.
+
     Args:
         scene: gives resolution, cameras and rig.
         protocol: the config's section of that name.
     """
     first = scene.camera(scene.cameras[0], scene.frames[0])
     described = {
+        "version": PROTOCOL,
         "resolution": [first.height, first.width],
         "cameras": scene.cameras,
         "rig": dataclasses.asdict(scene.info.rig),
@@ -96,9 +100,9 @@ def check_fingerprints(rows: pd.DataFrame) -> None:
     Raises:
         GeoEvsError: they were; the sentence names the dataset and the fingerprints.
     """
-    for dataset, found in rows.groupby("dataset")["fingerprint"].unique().items():
-        if len(found) > 1:
+    for dataset, fingerprints in rows.groupby("dataset")["fingerprint"].unique().items():
+        if len(fingerprints) > 1:
             raise GeoEvsError(
                 f"scores of dataset '{dataset}' come from different protocols "
-                f"({', '.join(sorted(found))}); rerun `snakemake scores` so that they agree"
+                f"({', '.join(sorted(fingerprints))}); rerun `snakemake scores` so that they agree"
             )

@@ -18,17 +18,22 @@ from scipy.spatial.distance import cdist
 from geoevs.protocol.weights import missing_weights
 
 INCEPTION = "weights-inception-2015-12-05-6726825d.pth"
+"""The file of Inception's weights, as torch-fidelity names it."""
 LEVELS = 4
-SMALLEST_SIDE = 8  # pixels of a pyramid's coarsest level
-DARKEST = 0.25 / 255  # under what 8 bits can tell; keeps logarithms finite
+"""Most levels of the pyramid on which texture is measured."""
+SMALLEST_SIDE = 8
+"""Pixels that the shorter side of the pyramid's coarsest level has at least."""
+DARKEST = 0.25 / 255
+"""Added to deviations so that logarithms stay finite; less than 8 bits can tell."""
 
 
 def texture_features(image: np.ndarray) -> np.ndarray:
     """(D,) statistics of an (H, W, 3) image in [0, 1]: its colours, and its texture at each scale.
 
-    Means and log deviations of the channels; then, for every level of a Gaussian pyramid, axis and
-    channel, the log of the derivative's root mean square and of its mean absolute value. Blur
-    lowers these, noise raises them, and holes pull the two apart.
+    The first six are, with e = DARKEST, each channel's mean and log(standard deviation + e). Then
+    follow, for every level of a Gaussian pyramid, axis and channel, with d the differences of
+    neighbouring pixels, 0.5 log(mean(d^2) + e^2) and log(mean(|d|) + e). Blur lowers these,
+    noise raises them, and holes pull the two apart.
     """
     level = image.astype(np.float32)
     features = [level.mean(axis=(0, 1)), np.log(level.std(axis=(0, 1)) + DARKEST)]
@@ -63,7 +68,7 @@ def _inception() -> Any:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A distance between sets, and the ends of its interval (NaN where it has none)."""
+    """A distance between two sets of images, and the ends of its interval (NaN: it has none)."""
 
     value: float
     low: float = np.nan
@@ -79,9 +84,12 @@ def unbiased_mmd(
 ) -> Estimate:
     """Squared maximum mean discrepancy of paired sets.
 
-    The one-sample U-statistic of Gretton et al. 2012 (lemma 6): unbiased, so it may be negative,
-    and zero for exact copies. Its normal interval is of the jackknife that leaves out a frame at a
-    time, since the views of a frame are alike.
+    The one-sample U-statistic of Gretton et al. 2012 (lemma 6)::
+
+        sum over i != j of (k(xi, xj) + k(yi, yj) - k(xi, yj) - k(xj, yi)) / (N (N - 1))
+
+    It is unbiased, so it may be negative, and it is zero for exact copies. The normal interval
+    comes from the jackknife that leaves out one frame at a time, since a frame's views are alike.
     """
     if len(x) < 2:
         return Estimate(np.nan)
@@ -110,7 +118,7 @@ def kernel_distance(
     frames: np.ndarray,  # [N]
     confidence: float,
 ) -> Estimate:
-    """KID's discrepancy, of the kernel (x . y / D + 1) ** 3 (Binkowski et al. 2018)."""
+    """KID (Binkowski et al. 2018): `unbiased_mmd` of the kernel k(x, y) = (x . y / D + 1)^3."""
 
     def cubic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return (a @ b.T / a.shape[1] + 1) ** 3
@@ -124,7 +132,12 @@ def energy_distance(
     frames: np.ndarray,  # [N]
     confidence: float,
 ) -> Estimate:
-    """The discrepancy of the kernel -|x - y| / sqrt(D): far outliers do not drown the others."""
+    """Energy distance (Szekely and Rizzo 2013), scaled by the features' number.
+
+    It estimates (2 E|x - y| - E|x - x'| - E|y - y'|) / sqrt(D), as `unbiased_mmd` of the kernel
+    k(x, y) = -|x - y| / sqrt(D). Distances are not squared, so that few far outliers do not drown
+    the others.
+    """
 
     def closeness(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return -cdist(a, b) / math.sqrt(a.shape[1])
@@ -138,9 +151,11 @@ def frechet_distance(
     frames: np.ndarray | None = None,
     confidence: float = 0.0,
 ) -> Estimate:
-    """Squared Frechet distance of two normal distributions (Heusel et al. 2017); no interval.
+    """Squared Frechet distance of two normal distributions (FID, Heusel et al. 2017); no interval.
 
-    Its bias grows as sets shrink: with fewer views than features, compare it with its floor alone.
+    It is |mx - my|^2 + trace(A + B - 2 (A B)^0.5), where mx, my are the means and A, B the
+    covariances of the two sets' features. Its bias grows as sets shrink: with fewer views than
+    features, compare it with its floor alone.
     """
     if min(len(x), len(y)) < 2:
         return Estimate(np.nan)
@@ -156,10 +171,10 @@ class SetMetric:
     """A named distance of sets: what describes an image, and how descriptions are compared.
 
     Args:
-        features: of one image.
-        distance: of two arrays of features.
+        features: gives an image's features, (D,), from its pixels, (H, W, 3).
+        distance: compares two arrays of features, (N, D), whose views belong to frames, (N,).
         standardised: whether features are first centred and scaled by those of the true images.
-        weights: the package and the file of weights that the features need, or nothing.
+        weights: the package and the file of weights that the features need, or None.
     """
 
     features: Callable[[np.ndarray], np.ndarray]
@@ -173,6 +188,7 @@ class SetMetric:
 
 
 _INCEPTION = ("torch_fidelity", INCEPTION)
+"""The package and the weights that FID and KID need."""
 SET_METRICS = {
     "fid": SetMetric(inception_features, frechet_distance, weights=_INCEPTION),
     "kid": SetMetric(inception_features, kernel_distance, weights=_INCEPTION),
@@ -185,7 +201,7 @@ def standardise(
     features: np.ndarray,  # [N, D]
     true: np.ndarray,  # [N, D]
 ) -> np.ndarray:
-    """Features centred and scaled by those of the true images."""
+    """(features - mean) / deviation, of the true images' features; deviations are 0.05 at least."""
     return (features - true.mean(axis=0)) / np.maximum(true.std(axis=0), 0.05)
 
 

@@ -78,8 +78,12 @@ def score_sets(
 
 def _rows(pairs: list[Pair], failures: list[str], confidence: float) -> list[dict[str, Any]]:
     """One row a metric."""
-    blank = dict.fromkeys(("value", "low", "high", "floor"), math.nan)
-    blank |= {"views": len(pairs), "failed": len(failures), "reason": ""}
+    blank = {
+        **dict.fromkeys(("value", "low", "high", "floor"), math.nan),
+        "views": len(pairs),
+        "failed": len(failures),
+        "reason": "",
+    }
     frames = np.array([frame for frame, _, _ in pairs])
 
     @cache
@@ -100,7 +104,14 @@ def _rows(pairs: list[Pair], failures: list[str], confidence: float) -> list[dic
         if metric.standardised:
             rendered, true = standardise(rendered, true), standardise(true, true)
         estimate = metric.distance(rendered, true, frames, confidence)
-        row |= {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-        row |= {"floor": real_floor(metric, true, frames)}
-        rows.append({**row, "status": EMPTY_MASK if math.isnan(estimate.value) else OK})
+        rows.append(
+            {
+                **row,
+                "value": estimate.value,
+                "low": estimate.low,
+                "high": estimate.high,
+                "floor": real_floor(metric, true, frames),
+                "status": EMPTY_MASK if math.isnan(estimate.value) else OK,
+            }
+        )
     return rows

@@ -1,4 +1,4 @@
-"""The stability suite: its targets, its conditions, and rendering one method under all of them."""
+"""The stability suite: its targets, its stresses, and rendering one method under all of them."""
 
 import json
 from collections.abc import Sequence
@@ -9,14 +9,14 @@ from typing import Any
 from geoevs.core.files import new_folder, write_json
 from geoevs.protocol.entries import FAILED, MethodEntry
 from geoevs.protocol.isolate import MethodFailedError, run_isolated
-from geoevs.protocol.stressors import MOTION_OPTION, STRESSORS
+from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 CLEAN = "clean"
-"""The group of conditions without stress; poses and pixels are chosen from its renders."""
+"""The group, and the kind, of what is not stressed; `targets` and `pixels` are of its renders."""
 
 WORLD = "~"
 """Stands between a scene's name and the option of its source that makes it another world."""
@@ -25,7 +25,7 @@ OUTCOME_FILE = "outcome.json"
 
 
 @dataclass(frozen=True)
-class Condition:
+class Stress:
     """What a method is given: a stressor at a level, and the draw of whatever is random in it.
 
     The draw also seeds the method's own randomness.
@@ -40,9 +40,36 @@ class Condition:
         """Its name within the stressor, usable as a path."""
         return f"{self.level:g}.seed{self.draw}"
 
+    @property
+    def kind(self) -> str:
+        """The stressor's kind, or CLEAN."""
+        return CLEAN if self.stressor == CLEAN else stressor_named(self.stressor).kind
+
+    def world(self, scene: str) -> str:
+        """The scene in the world that methods are given, as scenes are called in paths.
+
+        >>> Stress("motion", 5.0).world("junction-103")
+        'junction-103~traffic_speed=5'
+        >>> Stress("support", 0.1).world("junction-103")
+        'junction-103'
+        """
+        if self.kind != "world":
+            return scene
+        return f"{scene}{WORLD}{STRESSORS[self.stressor].option}={self.level:g}"
+
+
+def levels_of(stressor: str, settings: dict[str, Any]) -> list[float]:
+    """The levels of a stressor: the config's, or its own where the config leaves it out.
+
+    Args:
+        stressor: one of STRESSORS.
+        settings: the config's `stability` section.
+    """
+    return list(settings["levels"].get(stressor, STRESSORS[stressor].levels))
+
 
 def groups(settings: dict[str, Any]) -> list[str]:
-    """The stressors whose conditions must be rendered, CLEAN first.
+    """The stressors whose stresses must be rendered, CLEAN first.
 
     Args:
         settings: the config's `stability` section.
@@ -50,31 +77,19 @@ def groups(settings: dict[str, Any]) -> list[str]:
     rendered = [
         name
         for name, stressor in STRESSORS.items()
-        if stressor.acts_on in ("store", "world") and settings["levels"][name]
+        if stressor.kind in ("store", "world") and levels_of(name, settings)
     ]
     return [CLEAN, *rendered]
 
 
-def conditions(stressor: str, settings: dict[str, Any]) -> list[Condition]:
-    """The conditions of a group: every level and draw.
+def stresses(group: str, settings: dict[str, Any]) -> list[Stress]:
+    """The stresses of a group: every level and draw.
 
     In CLEAN and in worlds, draws are given the same scene, and seed the method alone.
     """
     draws = range(settings["seeds"])
-    if stressor == CLEAN:
-        return [Condition(CLEAN, draw=draw) for draw in draws]
-    return [
-        Condition(stressor, level, draw) for level in settings["levels"][stressor] for draw in draws
-    ]
-
-
-def world_name(scene: str, level: float) -> str:
-    """The scene in the world where traffic has this speed, as scenes are called in paths.
-
-    >>> world_name("junction-103", 5.0)
-    'junction-103~traffic_speed=5'
-    """
-    return f"{scene}{WORLD}{MOTION_OPTION}={level:g}"
+    levels = [0.0] if group == CLEAN else levels_of(group, settings)
+    return [Stress(group, level, draw) for level in levels for draw in draws]
 
 
 def world_options(scene: str) -> tuple[str, dict[str, Any]]:
@@ -113,10 +128,10 @@ def stability_targets(scene: Scene, settings: dict[str, Any]) -> list[Target]:
                 name = f"extrapolation-{side}{shift:+g}m"
                 virtual = virtual_camera(front, camera, half, shift, name)
                 targets.append(_target("extrapolation", frame, virtual, front, shift))
-            for shift in settings["levels"]["lateral"]:
+            for shift in levels_of("lateral", settings):
                 moved = virtual_camera(front, camera, 0.0, outwards * shift, f"{side}-{shift:g}m")
                 targets.append(_target("lateral", frame, moved, front, outwards * shift))
-            for angle in settings["levels"]["yaw"]:
+            for angle in levels_of("yaw", settings):
                 turned = virtual_camera(front, camera, angle, 0.0, f"{side}-{angle:g}deg")
                 targets.append(_target("yaw", frame, turned, front, 0.0))
     return targets
@@ -127,24 +142,24 @@ def _target(split: str, frame: int, camera: Camera, front: Camera, shift: float)
     return Target(split, frame, camera, ALL_CAMERAS, offset, shift)
 
 
-def render_conditions(
+def render_stresses(
     entry: MethodEntry,
-    scenes: Sequence[tuple[Condition, Path]],
+    scenes: Sequence[tuple[Stress, Path]],
     targets: Path,
     masks: Path,
     folder: Path,
     log: Path,
 ) -> None:
-    """Fit and render a method under every condition of one group.
+    """Fit and render a method under every stress of one group.
 
     One isolated process does them all, since starting one costs more than most fits; draws of one
     scene that a method has no randomness for share one result. Leaves
-    `<condition key>/<target key>.png` and `<condition key>/outcome.json`, which says at which
-    stage and why a condition failed; the others go on.
+    `<stress key>/<target key>.png` and `<stress key>/outcome.json`, which says at which stage
+    and why one failed; the others go on.
 
     Args:
         entry: the method.
-        scenes: the group's conditions, and the scene stores that methods are given.
+        scenes: the group's stresses, and the scene stores that methods are given.
         targets: the scene's target list; what is not CLEAN renders its extrapolation split alone.
         masks: the scene's condition masks.
         folder: what to write, whole or not at all.
@@ -155,9 +170,9 @@ def render_conditions(
         arguments = {
             "method": entry.method,
             "options": entry.options,
-            "conditions": [
-                {"key": condition.key, "scene": str(scene), "seed": entry.seed + condition.draw}
-                for condition, scene in scenes
+            "stresses": [
+                {"key": stress.key, "scene": str(scene), "seed": entry.seed + stress.draw}
+                for stress, scene in scenes
             ],
             "targets": str(targets),
             "splits": None if scenes[0][0].stressor == CLEAN else ["extrapolation"],
@@ -168,20 +183,21 @@ def render_conditions(
         try:
             run_isolated("geoevs.protocol.stability_step:stability_step", arguments, 1, log)
         except MethodFailedError as failure:  # the process died in one of them
-            for condition, _ in scenes:
-                path = partial / condition.key / OUTCOME_FILE
+            for stress, _ in scenes:
+                path = partial / stress.key / OUTCOME_FILE
                 if not path.exists():
                     path.parent.mkdir(exist_ok=True)
                     write_json(path, failed("fit or render", str(failure), log))
 
 
 def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
-    """The outcome of a condition that failed."""
+    """The outcome of a stress under which a method failed."""
     return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:
     """What `stability_targets` needs of the section; other worlds have no poses of their own."""
-    levels = {} if WORLD in scene else settings["levels"]
-    poses = {name: levels.get(name, []) for name in ("lateral", "yaw")}
+    poses = {
+        name: [] if WORLD in scene else levels_of(name, settings) for name in ("lateral", "yaw")
+    }
     return {"lateral": settings["lateral"], "levels": poses}

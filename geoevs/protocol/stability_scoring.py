@@ -1,4 +1,4 @@
-"""Score rows of the stability suite: every condition, pose, and group of pixels of one method."""
+"""Score rows of the stability suite: every stress, pose, and group of pixels of one method."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,25 +12,23 @@ from geoevs import layout
 from geoevs.core.files import read_arrays, read_image, read_json, to_float
 from geoevs.projection import unproject_depth
 from geoevs.protocol.entries import FAILED, OK, MethodEntry
+from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.reference import References
+from geoevs.protocol.rows import protocol_fingerprint, score_frame
 from geoevs.protocol.scoring import Answer, describe, regions, score_regions
-from geoevs.protocol.stability import (
-    CLEAN,
-    OUTCOME_FILE,
-    Condition,
-    conditions,
-    world_name,
-)
+from geoevs.protocol.stability import CLEAN, OUTCOME_FILE, Stress, levels_of, stresses
+from geoevs.protocol.stressors import STRESSORS, USUAL_METRICS
 from geoevs.protocol.targets import Target, read_targets
 from geoevs.protocol.truth import dense_truth
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
 
-METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
-MOTION_METRICS = ("psnr", "psnr_moving", "psnr_still")
+MOVING, STILL = "dense-moving", "dense-still"
+"""Regions inside boxes of the cars that drive, and outside of them."""
+
 SPREADS = ("seed_spread_supported", "seed_spread_new")
 """Standard deviation over draws of a pixel's channels, of 1, where raw reprojection supports it
-and where not. Only generative methods have one in clean conditions."""
+and where not. Only generative methods have one without stress."""
 
 EDGE = 0.1  # of the farther one's inverse depth: the least break between two surfaces
 SKY = 1e-6  # its inverse depth, 1 / metres
@@ -65,31 +63,33 @@ class World:
         return self._references[target.key].reprojected
 
 
-def score_conditions(
-    entry: MethodEntry, group: str, run: Path, scene: str, settings: dict, common: dict
-) -> list[dict[str, Any]]:
-    """Score what `render_conditions` left of one group.
+def score_stresses(
+    entry: MethodEntry, group: str, run: Path, dataset: str, scene: str, settings: dict[str, Any]
+) -> pd.DataFrame:
+    """Score what `render_stresses` left of one group, as SCORE_TYPES says.
 
     In these rows `seed` is the draw. CLEAN gives the rows of `lateral`, `yaw` and `edges` as well,
-    and how far the draws lie apart (SPREADS).
+    and how far the draws lie apart (SPREADS). Levels and draws are columns, so that the fingerprint
+    holds of the settings only what scores of two scenes must share: the shifts of the targets.
 
     Args:
         entry: who rendered.
         group: a stressor, or CLEAN.
         run: the run's folder.
-        scene: the clean scene's name.
+        dataset: the scene's data set in the config.
+        scene: the clean scene's name there.
         settings: the config's `stability` section.
-        common: columns that all rows share: dataset, scene, fingerprint.
     """
-    dataset = common["dataset"]
-    place = {"dataset": dataset, "scene": scene, "group": group, "label": entry.label}
-    renders = run / layout.STABILITY_RENDERS.format(**place)
+    place = {"dataset": dataset, "scene": scene}
+    renders = run / layout.STABILITY_RENDERS.format(**place, group=group, label=entry.label)
     clean = World(run, dataset, scene)
+    fingerprint = protocol_fingerprint(clean.scene, {"lateral": settings["lateral"]})
+    common = {**place, "fingerprint": fingerprint}
     rows = []
-    for condition in conditions(group, settings):
-        moved = group == "motion"
-        world = World(run, dataset, world_name(scene, condition.level)) if moved else clean
-        folder = renders / condition.key
+    for stress in stresses(group, settings):
+        moved = stress.kind == "world"
+        world = World(run, dataset, stress.world(scene)) if moved else clean
+        folder = renders / stress.key
         outcome = read_json(folder / OUTCOME_FILE)
         ending = {name: outcome[name] for name in ("stage", "reason", "log")}
         for target in world.targets:
@@ -97,42 +97,57 @@ def score_conditions(
                 continue
             failed = outcome["status"] == FAILED
             preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
-            shared = {**common, **describe(entry, target), **ending, "seed": condition.draw}
-            for stress, names, answers in _questions(condition, world, clean, target, settings):
+            shared = {**common, **describe(entry, target), **ending, "seed": stress.draw}
+            for columns, names, answers in _questions(stress, world, clean, target, settings):
                 scores = score_regions(names, preds, answers)
-                rows += [{**shared, **stress, **score} for score in scores]
-    return rows + (_spread_rows(entry, clean, renders, settings, common) if group == CLEAN else [])
+                rows += [{**shared, **columns, **score} for score in scores]
+    if group == CLEAN:
+        rows += _spread_rows(entry, clean, renders, settings, common)
+    return score_frame(rows)
 
 
 def _questions(
-    condition: Condition, world: World, clean: World, target: Target, settings: dict
+    stress: Stress, world: World, clean: World, target: Target, settings: dict[str, Any]
 ) -> Iterator[tuple[dict[str, Any], tuple[str, ...], dict[str, Answer]]]:
     """What is asked of one picture: columns `stressor` and `level`, metrics, and their answers."""
     answers = world.regions(target)
-    stress = {"stressor": condition.stressor, "level": condition.level}
+    columns = {"stressor": stress.stressor, "level": stress.level}
     if target.split == "lateral":
-        stress = {"stressor": "lateral", "level": abs(target.lateral_shift)}
+        columns = {"stressor": "lateral", "level": abs(target.lateral_shift)}
     if target.split == "yaw":
-        stress = {"stressor": "yaw", "level": round(target.pose_offset, 6)}
+        columns = {"stressor": "yaw", "level": round(target.pose_offset, 6)}
+    stressor = STRESSORS.get(columns["stressor"])  # none: CLEAN
+    names = stressor.metrics if stressor else USUAL_METRICS
     depth = world.depth(target)
-    if condition.stressor == "motion" and depth is not None:
-        tracks = clean.scene.tracks
-        cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
-        boxes = world.scene.tracks
-        boxes = boxes[boxes["track"].isin(cars) & (boxes["frame"] == target.frame)]
-        inside = in_boxes(depth, target.camera, boxes)
-        dense = answers["dense"]
-        answers["dense-moving"] = Answer(dense.target, inside, dense.support_ratio)
-        answers["dense-still"] = Answer(dense.target, ~inside, dense.support_ratio)
-        yield stress, MOTION_METRICS, answers
-        return
-    yield stress, tuple(name for name in METRICS if "dense" in answers or "sparse" in name), answers
-    if condition.stressor == CLEAN and target.split == "extrapolation" and depth is not None:
+    if depth is not None and {MOVING, STILL} & {METRICS[name].region for name in names}:
+        answers |= _by_motion(world, clean, target, depth, answers["dense"])
+    yield columns, _known(names, answers) or _known(USUAL_METRICS, answers), answers
+    if stress.kind == CLEAN and target.split == "extrapolation" and depth is not None:
         distance = edge_distance(depth)
         dense = answers["dense"]
-        for level in settings["levels"]["edges"]:
+        for level in levels_of("edges", settings):
             band = {"dense": Answer(dense.target, distance <= level, dense.support_ratio)}
-            yield {"stressor": "edges", "level": level}, ("psnr",), band
+            yield {"stressor": "edges", "level": level}, STRESSORS["edges"].metrics, band
+
+
+def _known(names: tuple[str, ...], answers: dict[str, Answer]) -> tuple[str, ...]:
+    """The metrics whose regions have an answer."""
+    return tuple(name for name in names if METRICS[name].region in answers)
+
+
+def _by_motion(
+    world: World, clean: World, target: Target, depth: np.ndarray, dense: Answer
+) -> dict[str, Answer]:
+    """Every pixel's answer, split by whether a car that drives in the clean scene fills it."""
+    tracks = clean.scene.tracks
+    cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
+    boxes = world.scene.tracks
+    boxes = boxes[boxes["track"].isin(cars) & (boxes["frame"] == target.frame)]
+    inside = in_boxes(depth, target.camera, boxes)
+    return {
+        MOVING: Answer(dense.target, inside, dense.support_ratio),
+        STILL: Answer(dense.target, ~inside, dense.support_ratio),
+    }
 
 
 def edge_distance(depth: np.ndarray) -> np.ndarray:
@@ -194,10 +209,14 @@ def in_boxes(depth: np.ndarray, camera: Camera, boxes: pd.DataFrame) -> np.ndarr
 
 
 def _spread_rows(
-    entry: MethodEntry, clean: World, renders: Path, settings: dict, common: dict
+    entry: MethodEntry,
+    clean: World,
+    renders: Path,
+    settings: dict[str, Any],
+    common: dict[str, str],
 ) -> list[dict[str, Any]]:
     """SPREADS of the half-way targets; none where a draw failed or there is one draw alone."""
-    folders = [renders / condition.key for condition in conditions(CLEAN, settings)]
+    folders = [renders / stress.key for stress in stresses(CLEAN, settings)]
     endings = [read_json(folder / OUTCOME_FILE)["status"] for folder in folders]
     if len(folders) < 2 or FAILED in endings:
         return []
@@ -209,9 +228,21 @@ def _spread_rows(
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
         supported = clean.reprojected(target)
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):
-            row = {"metric": name, "stressor": CLEAN, "level": 0.0, "status": OK}
-            row |= {"support_ratio": supported.mean(), "valid_pixels": int(region.sum())}
-            row |= {"value": float(spread[region].mean()) if region.any() else np.nan}
-            row |= {"stage": "", "reason": "", "log": ""}
-            rows.append({**common, **describe(entry, target), "seed": 0, **row})
+            rows.append(
+                {
+                    **common,
+                    **describe(entry, target),
+                    "seed": 0,
+                    "metric": name,
+                    "stressor": CLEAN,
+                    "level": 0.0,
+                    "status": OK,
+                    "support_ratio": supported.mean(),
+                    "valid_pixels": int(region.sum()),
+                    "value": float(spread[region].mean()) if region.any() else np.nan,
+                    "stage": "",
+                    "reason": "",
+                    "log": "",
+                }
+            )
     return rows

@@ -1,4 +1,4 @@
-"""Fitting and rendering a method under many conditions, as one isolated process runs it."""
+"""Fitting and rendering a method under many stresses, as one isolated process runs it."""
 
 import shutil
 import tempfile
@@ -18,21 +18,21 @@ from geoevs.protocol.targets import ALL_CAMERAS, read_targets, write_targets
 def stability_step(
     method: str,
     options: dict[str, Any],
-    conditions: list[dict[str, Any]],
+    stresses: list[dict[str, Any]],
     targets: str,
     splits: list[str] | None,
     masks: str,
     folder: str,
     log: str,
 ) -> None:
-    """Fit and render each condition in turn; one that fails says so, and the next one is tried.
+    """Fit and render under each stress in turn; one that fails says so, and the next one is tried.
 
     A fit that is not random stands for all draws of its scene.
 
     Args:
         method: its name.
         options: its own.
-        conditions: `key`, `scene` (the store that the method is given) and `seed` of each.
+        stresses: `key`, `scene` (the store that the method is given) and `seed` of each.
         targets: the scene's target list.
         splits: those to render, or None for all.
         masks: the scene's condition masks.
@@ -40,14 +40,14 @@ def stability_step(
         log: where this process' output goes; outcomes name it.
     """
     with tempfile.TemporaryDirectory() as scratch:
-        listed = Path(scratch) / "targets.json"
-        every = read_targets(Path(targets))
-        write_targets(listed, [t for t in every if splits is None or t.split in splits])
+        target_list = Path(scratch) / "targets.json"
+        listed = read_targets(Path(targets))
+        write_targets(target_list, [t for t in listed if splits is None or t.split in splits])
         certain: dict[str, Path] = {}  # by scene: what a fit that is not random has left
-        for condition in conditions:
-            place = Path(folder) / condition["key"]
-            if condition["scene"] in certain:
-                shutil.copytree(certain[condition["scene"]], place)
+        for stress in stresses:
+            place = Path(folder) / stress["key"]
+            if stress["scene"] in certain:
+                shutil.copytree(certain[stress["scene"]], place)
                 continue
             place.mkdir()
             outcome = {"status": OK, "stage": "", "reason": "", "log": ""}
@@ -55,13 +55,13 @@ def stability_step(
             try:
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
                     budget = {"seconds": None, "threads": 1}
-                    arguments = (condition["seed"], ALL_CAMERAS, budget, model)
-                    fit = fit_step(condition["scene"], method, options, *arguments)
+                    arguments = (stress["seed"], ALL_CAMERAS, budget, model)
+                    fit = fit_step(stress["scene"], method, options, *arguments)
                     stage = "render"
-                    seen = (str(listed), ALL_CAMERAS, model, masks, {}, str(place))
-                    render_step(method, *seen, warm_up=False)
+                    views = (str(target_list), ALL_CAMERAS)
+                    render_step(method, *views, model, masks, {}, str(place), warm_up=False)
                 if not fit["random"]:
-                    certain[condition["scene"]] = place
+                    certain[stress["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
                 kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "

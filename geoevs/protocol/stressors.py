@@ -3,54 +3,55 @@
 Most stressors change what methods are given and nothing else: `write_stressed` makes a scene store
 as an import from worse sensors would have left it, while targets, references and truth stay those
 of the clean scene. The others choose harder targets, worlds or pixels.
+
+All that is to be said of a stressor stands in STRESSORS, at the end.
 """
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.randomness import Rng
-from geoevs.projection import colour_points, zbuffer
+from geoevs.projection import colour_frame, zbuffer
 from geoevs.scenes.scene import Frame, PointCloud
 from geoevs.scenes.store import Scene, write_scene
 
-Change = Callable[[Frame], Frame]
+USUAL_METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
+"""What is asked under most stressors, and without stress."""
+
+FrameChange = Callable[[Frame], Frame]
+StoreChange = Callable[[Scene, float, np.random.Generator], FrameChange]
+"""From a clean scene, a level and what is random to the change of each of its frames; GeoEvsError
+where the scene cannot have that level."""
 
 
-class Stressor(NamedTuple):
+@dataclass(frozen=True)
+class Stressor:
     """One axis along which methods are stressed.
 
     Args:
         title: what its levels count, with their unit.
-        acts_on: `store` (see `write_stressed`), `world` (a data source's option), `targets` (poses
-            farther away) or `pixels` (those that count).
+        kind: what it changes: `store` (what methods are given), `world` (an option of the data
+            source), `targets` (poses farther away) or `pixels` (those that count).
+        levels: those of a config that names none, mildest first.
         falling: whether lower levels are harder.
+        change: of a `store`.
+        option: of the data source, which the levels of a `world` set.
+        metrics: what is asked, as far as the scene's answers allow.
     """
 
     title: str
-    acts_on: str
+    kind: str
+    levels: tuple[float, ...]
     falling: bool = False
-
-
-STRESSORS = {
-    "support": Stressor("valid pixels of the LiDAR condition, share", "store", falling=True),
-    "beams": Stressor("LiDAR beams lost, share", "store"),
-    "rotation": Stressor("rotation error of every camera, degrees", "store"),
-    "translation": Stressor("position error of every camera, metres", "store"),
-    "cameras": Stressor("source cameras lost", "store"),
-    "exposure": Stressor("exposure difference between cameras, stops", "store"),
-    "motion": Stressor("speed of moving vehicles, m/s", "world"),
-    "lateral": Stressor("sideways offset of the target, metres", "targets"),
-    "yaw": Stressor("yaw of the target, degrees", "targets"),
-    "edges": Stressor("pixels at most this far from a depth edge, pixels", "pixels", falling=True),
-}
-MOTION_OPTION = "traffic_speed"
-"""The data source's option that the levels of `motion` set."""
+    change: StoreChange | None = None
+    option: str = ""
+    metrics: tuple[str, ...] = USUAL_METRICS
 
 
 def stressor_named(name: str) -> Stressor:
@@ -74,21 +75,20 @@ def write_stressed(folder: Path, scene: Scene, stressor: str, level: float, seed
     Args:
         folder: the new store.
         scene: the clean scene.
-        stressor: one of STRESSORS that acts on the store.
+        stressor: one of STRESSORS, of kind `store`.
         level: how hard, in the stressor's unit.
         seed: what is lost, and which way errors go.
 
     Raises:
-        GeoEvsError: there is no such stressor, it acts on something else, or the scene cannot have
-            this level.
+        GeoEvsError: there is no such stressor, it is of another kind, or the scene cannot have this
+            level.
     """
-    if stressor_named(stressor).acts_on != "store":
-        raise GeoEvsError(
-            f"'{stressor}' changes no scene store; choose one of {', '.join(CHANGES)}"
-        )
-    rng = Rng(seed, "stress", scene.info.name, stressor).numpy
-    change = CHANGES[stressor](scene, level, rng)
-    frames = [_coloured(change(_frame(scene, frame))) for frame in scene.frames]
+    change = stressor_named(stressor).change
+    if change is None:
+        stores = ", ".join(name for name, other in STRESSORS.items() if other.kind == "store")
+        raise GeoEvsError(f"'{stressor}' changes no scene store; choose one of {stores}")
+    change_frame = change(scene, level, Rng(seed, "stress", scene.info.name, stressor).numpy)
+    frames = [colour_frame(change_frame(_frame(scene, frame))) for frame in scene.frames]
     info = dataclasses.replace(scene.info, cameras=tuple(frames[0].cameras))
     write_scene(folder, info, scene.tracks, iter(frames))
 
@@ -99,12 +99,7 @@ def _frame(scene: Scene, frame: int) -> Frame:
     return Frame(frame, scene.timestamp(frame), cameras, images, scene.points(frame))
 
 
-def _coloured(frame: Frame) -> Frame:
-    points = colour_points(frame.points, frame.cameras, frame.images)
-    return dataclasses.replace(frame, points=points)
-
-
-def _thin(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _thin(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Keep a random share of points, so that `level` of the source pixels hold one to condition."""
     ranks = {frame: rng.random(len(scene.points(frame))) for frame in scene.frames}
 
@@ -130,7 +125,7 @@ def _thin(scene: Scene, level: float, rng: np.random.Generator) -> Change:
     return lambda frame: _select(frame, ranks[frame.frame] < high)
 
 
-def _lose_beams(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _lose_beams(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Lose a share of the beams that condition methods, the same ones in all frames."""
     clouds = [scene.points(frame) for frame in scene.frames]
     beams = np.unique(np.concatenate([_conditioning(scene, cloud).beam for cloud in clouds]))
@@ -154,7 +149,7 @@ def _select(frame: Frame, keep: np.ndarray) -> Frame:
     return dataclasses.replace(frame, points=frame.points.select(keep))
 
 
-def _rotate(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _rotate(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Turn each camera by `level` degrees about an axis of its own, the same in all frames."""
     errors = {}
     for name in scene.cameras:
@@ -165,7 +160,7 @@ def _rotate(scene: Scene, level: float, rng: np.random.Generator) -> Change:
     return lambda frame: _miscalibrate(frame, errors)
 
 
-def _translate(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _translate(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Move each camera by `level` metres, the same way in all frames."""
     errors = {}
     for name in scene.cameras:
@@ -190,7 +185,7 @@ def _miscalibrate(frame: Frame, errors: dict[str, np.ndarray]) -> Frame:
     return dataclasses.replace(frame, cameras=cameras)
 
 
-def _lose_cameras(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _lose_cameras(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Lose `level` of the cameras, never the front one."""
     others = [name for name in scene.cameras if name != scene.info.rig.front]
     if not 0 <= level <= len(others) or level != int(level):
@@ -208,7 +203,7 @@ def _lose_cameras(scene: Scene, level: float, rng: np.random.Generator) -> Chang
     return change
 
 
-def _expose(scene: Scene, level: float, rng: np.random.Generator) -> Change:
+def _expose(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:
     """Spread the cameras' exposures evenly over `level` stops, in random order."""
     stops = np.linspace(-level / 2, level / 2, len(scene.cameras))
     chosen = dict(zip(scene.cameras, rng.permutation(stops), strict=True))
@@ -230,11 +225,54 @@ def _exposed(image: np.ndarray, stops: float) -> np.ndarray:
     return curved.astype(np.float32)
 
 
-CHANGES: dict[str, Callable[[Scene, float, np.random.Generator], Change]] = {
-    "support": _thin,
-    "beams": _lose_beams,
-    "rotation": _rotate,
-    "translation": _translate,
-    "cameras": _lose_cameras,
-    "exposure": _expose,
+STRESSORS = {
+    "support": Stressor(
+        "valid pixels of the LiDAR condition, share",
+        kind="store",
+        levels=(0.1, 0.05, 0.01, 0.005),
+        falling=True,
+        change=_thin,
+    ),
+    "beams": Stressor(
+        "LiDAR beams lost, share", kind="store", levels=(0.25, 0.5, 0.75, 0.9), change=_lose_beams
+    ),
+    "rotation": Stressor(
+        "rotation error of every camera, degrees",
+        kind="store",
+        levels=(0.1, 0.5, 1, 2),
+        change=_rotate,
+    ),
+    "translation": Stressor(
+        "position error of every camera, metres",
+        kind="store",
+        levels=(0.01, 0.05, 0.1, 0.2),
+        change=_translate,
+    ),
+    "cameras": Stressor(
+        "source cameras lost", kind="store", levels=(1, 2, 3, 4), change=_lose_cameras
+    ),
+    "exposure": Stressor(
+        "exposure difference between cameras, stops",
+        kind="store",
+        levels=(0.5, 1, 2, 3),
+        change=_expose,
+    ),
+    "motion": Stressor(
+        "speed of moving vehicles, m/s",
+        kind="world",
+        levels=(0, 5, 10, 20),
+        option="traffic_speed",
+        metrics=("psnr", "psnr_moving", "psnr_still"),
+    ),
+    "lateral": Stressor(
+        "sideways offset of the target, metres", kind="targets", levels=(0, 1, 2, 3, 4)
+    ),
+    "yaw": Stressor("yaw of the target, degrees", kind="targets", levels=(0, 5, 10, 20, 30, 45)),
+    "edges": Stressor(
+        "pixels at most this far from a depth edge, pixels",
+        kind="pixels",
+        levels=(16, 8, 4, 2, 1),
+        falling=True,
+        metrics=("psnr",),
+    ),
 }

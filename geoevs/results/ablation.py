@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -10,7 +11,7 @@ from geoevs.protocol.entries import DEFAULT, FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import PAIR, paired_difference, summarise
 from geoevs.results.entrants import Entrants
-from geoevs.results.formats import latex_tabular, markdown_grid, with_interval
+from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
 from geoevs.results.paper import paper_values
 from geoevs.results.settings import TableSettings
 
@@ -70,6 +71,14 @@ def make_ablation_table(
     return entrants.describe(pd.DataFrame(table).assign(method=settings.ablation))
 
 
+def write_ablation_table(
+    stem: Path, scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
+    """Write `make_ablation_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
+    table = make_ablation_table(scores, settings, entrants)
+    write_formats(stem, table, ablation_markdown, ablation_latex)
+
+
 def column_name(split: str, metric: str) -> str:
     """A measure's column.
 
@@ -80,10 +89,10 @@ def column_name(split: str, metric: str) -> str:
 
 
 def _row(rows: pd.DataFrame, variant: str, settings: TableSettings) -> dict[str, Any]:
-    mine, full = (rows[rows["variant"] == name] for name in (variant, FULL))
-    summary = summarise(mine, ["split", "metric"], *settings.bootstrap)
+    of_variant, full = (rows[rows["variant"] == name] for name in (variant, FULL))
+    summary = summarise(of_variant, ["split", "metric"], *settings.bootstrap)
     summary = summary.set_index(["split", "metric"])
-    row: dict[str, Any] = {"variant": variant, "seeds": mine["seed"].nunique()}
+    row: dict[str, Any] = {"variant": variant, "seeds": of_variant["seed"].nunique()}
     pairs = 0
     printed = paper_values("ablation").get(settings.ablation)
     for split, metric in MEASURES:
@@ -92,13 +101,14 @@ def _row(rows: pd.DataFrame, variant: str, settings: TableSettings) -> dict[str,
             row[f"{name}_paper"] = printed.get(variant, {}).get(metric, math.nan)
         for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
             row[name + suffix] = summary[column].get((split, metric), math.nan)
-        others = _of(mine, split, metric) if variant != FULL else mine[:0]
+        others = _of(of_variant, split, metric) if variant != FULL else of_variant[:0]
         difference = paired_difference(_of(full, split, metric), others, *settings.bootstrap)
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
-        row[f"{name}_seed_sd"] = _of(mine, split, metric).groupby("seed")["value"].mean().std()
+        by_seed = _of(of_variant, split, metric).groupby("seed")["value"]
+        row[f"{name}_seed_sd"] = by_seed.mean().std()
         pairs += difference.pairs
-    row["failed"] = len(mine[mine["status"] == FAILED].drop_duplicates(PAIR))
+    row["failed"] = len(of_variant[of_variant["status"] == FAILED].drop_duplicates(PAIR))
     row["note"] = _note(settings.ablation, variant, row["failed"], pairs)
     return row
 

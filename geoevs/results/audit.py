@@ -14,8 +14,18 @@ from geoevs.results.settings import TableSettings
 
 FRAME = ["scene", "frame"]
 AGREEMENT_COLUMNS = [
-    *("dataset", "metric", "share", "support", "bias", "bias_low", "bias_high"),
-    *("tau", "tau_low", "tau_high", "gap", "entrants"),
+    "dataset",
+    "metric",
+    "share",
+    "support",
+    "bias",
+    "bias_low",
+    "bias_high",
+    "tau",
+    "tau_low",
+    "tau_high",
+    "gap",
+    "entrants",
 ]
 AGREED = 0.95
 """The share of frames in which two methods' order must hold before a gap counts as trusted."""
@@ -54,9 +64,16 @@ def agreement(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     for key, group in rows.groupby(by, sort=False):
         sparse, dense, scenes = _frame_means(group)
         bias, tau = _resampled(sparse, dense, scenes, settings, _bias, _tau)
-        row = {"support": group["support_ratio"].mean(), **_named("bias", bias)}
-        row |= {**_named("tau", tau), "gap": _trusted_gap(sparse, dense)}
-        table.append({**dict(zip(by, key, strict=True)), **row, "entrants": sparse.shape[1]})
+        table.append(
+            {
+                **dict(zip(by, key, strict=True)),
+                "support": group["support_ratio"].mean(),
+                **_named("bias", bias),
+                **_named("tau", tau),
+                "gap": _trusted_gap(sparse, dense),
+                "entrants": sparse.shape[1],
+            }
+        )
     return pd.DataFrame(table, columns=AGREEMENT_COLUMNS)
 
 
@@ -92,12 +109,12 @@ def _resampled(
         return [(np.nan, np.nan, np.nan)] * len(statistics)
     weights = redraw(scenes, settings.resamples, np.random.default_rng(0)) / len(sparse)
     drawn = list(zip(weights @ sparse, weights @ dense, strict=True))
-    found = []
+    estimates = []
     for statistic in statistics:
         samples = [statistic(*means) for means in drawn]
         low, high = np.nanquantile(samples, settings.tails, method="inverted_cdf")
-        found.append((statistic(sparse.mean(axis=0), dense.mean(axis=0)), low, high))
-    return found
+        estimates.append((statistic(sparse.mean(axis=0), dense.mean(axis=0)), low, high))
+    return estimates
 
 
 def _named(name: str, values: tuple[float, float, float]) -> dict[str, float]:

@@ -1,13 +1,40 @@
 """The audit in words, every number of them from its tables."""
 
 import math
+from pathlib import Path
 
 import pandas as pd
 
+from geoevs.core.files import write_text
+from geoevs.results.audit import audit_tables
+from geoevs.results.audit_chart import agreement_chart, support_chart
+from geoevs.results.chart_pages import write_page
+from geoevs.results.entrants import Entrants
 from geoevs.results.formats import markdown_grid
+from geoevs.results.settings import TableSettings
 
 RANKS_WELL = 0.8
 """The tau from which on methods are said to be ranked well: nine of ten pairs in the same order."""
+
+
+def write_audit(
+    folder: Path, rows: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
+    """Write the audit's tables as CSV, two of them as charts, and the page in words.
+
+    Args:
+        folder: where `<table>.csv`, `agreement` and `support_bias` as PNG and HTML, and `audit.md`
+            go.
+        rows: the audit's rows (AUDIT_TYPES).
+        settings: the config's `tables` section.
+        entrants: who plays.
+    """
+    tables = audit_tables(rows, settings, entrants)
+    for name, table in tables.items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    write_page(folder / "agreement", agreement_chart(tables["agreement"]))
+    write_page(folder / "support_bias", support_chart(tables["support_bias"]))
+    write_text(folder / "audit.md", audit_markdown(tables))
 
 
 def audit_markdown(tables: dict[str, pd.DataFrame]) -> str:
@@ -18,15 +45,15 @@ def audit_markdown(tables: dict[str, pd.DataFrame]) -> str:
     """
     parts = ["# The metric on trial\n"]
     for dataset in tables["ceiling"]["dataset"].unique():
-        mine = {
+        of_dataset = {
             name: table[table["dataset"] == dataset] if len(table) else table
             for name, table in tables.items()
         }
         parts.append(f"## {dataset}: When sparse PSNR can be trusted\n")
-        parts += [f"- {sentence}" for sentence in _verdicts(mine)]
+        parts += [f"- {sentence}" for sentence in _verdicts(of_dataset)]
         parts.append("")
-        if len(mine["agreement"]):
-            parts.append(_agreement_grid(mine["agreement"]) + "\n")
+        if len(of_dataset["agreement"]):
+            parts.append(_agreement_grid(of_dataset["agreement"]) + "\n")
     return "\n".join(parts)
 
 
@@ -66,13 +93,13 @@ def _ranking(table: pd.DataFrame) -> list[str]:
 def _support(table: pd.DataFrame) -> list[str]:
     bias = table.set_index(["metric", "share"])["mean"]
     worst = bias["sparse_psnr"].abs().idxmax()
-    some = min(table["share"], key=lambda share: abs(share - 0.05))
+    thin = min(table["share"], key=lambda share: abs(share - 0.05))
     return [
         f"**Support alone.** On random pixels of the truth, sparse PSNR is off by "
-        f"{bias['sparse_psnr', some]:+.2f} dB at a support of {some:g}, and at worst by "
-        f"{bias['sparse_psnr', worst]:+.2f} dB, at {worst:g}. At {some:g}, normalised sparse SSIM "
-        f"is off by {bias['sparse_ssim', some]:+.3f}, the zero-filled reading by "
-        f"{bias['sparse_ssim_zero_fill', some]:+.3f}."
+        f"{bias['sparse_psnr', thin]:+.2f} dB at a support of {thin:g}, and at worst by "
+        f"{bias['sparse_psnr', worst]:+.2f} dB, at {worst:g}. At {thin:g}, normalised sparse SSIM "
+        f"is off by {bias['sparse_ssim', thin]:+.3f}, the zero-filled reading by "
+        f"{bias['sparse_ssim_zero_fill', thin]:+.3f}."
     ]
 
 

@@ -13,7 +13,8 @@ import vl_convert
 from geoevs.core.files import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.charts import COSTS, SPEED, higher_is_better
+from geoevs.results.charts import COSTS, SPEED, higher_is_better, speed_accuracy
+from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import bin_names, table_spec
 
@@ -53,6 +54,32 @@ CHOSEN = alt.selection_point(fields=["name"], bind="legend")
 FADED = alt.when(CHOSEN).then(alt.value(0.9)).otherwise(alt.value(0.08))
 
 
+def write_chart(
+    stem: Path,
+    name: str,
+    scores: pd.DataFrame,
+    costs: pd.DataFrame,
+    settings: TableSettings,
+    entrants: Entrants,
+    sets: pd.DataFrame | None = None,
+) -> None:
+    """Draw speed against accuracy as CSV, PNG and a page that needs no network.
+
+    Args:
+        stem: the path without suffix.
+        name: the table whose views to chart, one of TABLES.
+        scores: the run's score rows.
+        costs: its cost rows.
+        settings: the config's `tables` section.
+        entrants: who plays.
+        sets: rows of distances between sets, if there are any.
+    """
+    table = speed_accuracy(name, scores, costs, settings, entrants, sets)
+    page = draw_page(name, table, settings)
+    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_page(stem, page)
+
+
 def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VConcatChart:
     """A page of panels: for every data set and metric a row of what accuracy costs.
 
@@ -66,21 +93,21 @@ def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VC
     spec = table_spec(name)
     bins = [label for label in bin_names(spec, settings) if label in set(table["bin"])]
     rows = []
-    for dataset, found in table.groupby("dataset", sort=False):
-        for metric, points in found.groupby("metric", sort=False):
+    for dataset, of_dataset in table.groupby("dataset", sort=False):
+        for metric, points in of_dataset.groupby("metric", sort=False):
             of_bin = {label: points[points["bin"] == label] for label in bins}
             if spec.edges:
                 panels = [_curve(points, bins, f"{dataset}: {metric}", spec.bins)]
                 panels += [
-                    _panel(some, SPEED, metric, f"{spec.bins} {label}")
-                    for label, some in of_bin.items()
+                    _panel(points_of_bin, SPEED, metric, f"{spec.bins} {label}")
+                    for label, points_of_bin in of_bin.items()
                 ]
                 rows.append(alt.hconcat(*panels))
             else:
                 rows += [
-                    alt.hconcat(*_costs(some, metric, f"{dataset} {label}".strip()))
-                    for label, some in of_bin.items()
-                    if len(some)
+                    alt.hconcat(*_costs(points_of_bin, metric, f"{dataset} {label}".strip()))
+                    for label, points_of_bin in of_bin.items()
+                    if len(points_of_bin)
                 ]
     if rows:  # one panel holds the selection that all share
         rows[0].hconcat[0] = rows[0].hconcat[0].add_params(CHOSEN)
@@ -211,11 +238,11 @@ def _laid_out(data: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, list[float
 
     There is as much room above the best point as it takes to keep all names in the panel.
     """
-    shown = data[np.isfinite(data["y"])]
-    drawn = shown.assign(y=_stretch(shown["y"], metric))
-    across = _cost_range(data, shown[shown["frontier"]])
+    finite = data[np.isfinite(data["y"])]
+    drawn = finite.assign(y=_stretch(finite["y"], metric))
+    across = _cost_range(data, finite[finite["frontier"]])
     for room in ROOMS_ABOVE:
-        up = _metric_range(shown, metric, room)
+        up = _metric_range(finite, metric, room)
         bottom, top = _stretch(np.array(up), metric)
         places = _label_places(drawn, across, [bottom, top])
         if (places["bottom"] + LABEL_SIZE + 2 <= HEIGHT).all():
@@ -223,7 +250,7 @@ def _laid_out(data: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, list[float
     low, high = np.log10(across)
     label_x = 10 ** (low + places["right"] / WIDTH * (high - low))
     label_y = _shrink(bottom + places["bottom"] / HEIGHT * (top - bottom), metric)
-    return shown.assign(label_x=label_x, label_y=label_y), across, up
+    return finite.assign(label_x=label_x, label_y=label_y), across, up
 
 
 def _cost_range(data: pd.DataFrame, named: pd.DataFrame) -> list[float]:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -11,7 +12,7 @@ from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise
 from geoevs.results.entrants import INFO, Entrants
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.settings import TableSettings
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"
@@ -67,10 +68,10 @@ def make_complexity_table(
         here = fits[fits["dataset"] == dataset]
         methods = here.loc[_is_fixed(here), "method"].unique()
         for method in methods:
-            mine = here[here["method"] == method]
+            fits_of_method = here[here["method"] == method]
             rows = [
-                {"dataset": dataset, "method": method, "scene": scene} | _row(mine, scene)
-                for scene in mine["scene"].unique()
+                {"dataset": dataset, "method": method, "scene": scene} | _row(fits_of_method, scene)
+                for scene in fits_of_method["scene"].unique()
             ]
             rows.sort(key=lambda row: (row.get("chosen", math.inf), row["scene"]))
             about = entrants.columns(method, CHOSEN)
@@ -82,6 +83,13 @@ def make_complexity_table(
     columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", *INFO]
     made = pd.DataFrame(table, columns=columns)
     return made.astype(dict.fromkeys(numbers, "float64"))
+
+
+def write_complexity_table(
+    stem: Path, scores: pd.DataFrame, costs: pd.DataFrame, entrants: Entrants
+) -> None:
+    """Write `make_complexity_table` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_complexity_table(scores, costs, entrants), complexity_markdown)
 
 
 def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
@@ -110,8 +118,8 @@ def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
     fixed = here[_is_fixed(here)]
     row: dict[str, Any] = {"note": ""}
     if len(chosen):
-        (mine,) = chosen.to_dict("records")
-        row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(mine), strict=True))
+        (fit,) = chosen.to_dict("records")
+        row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(fit), strict=True))
     if len(fixed):
         best = fixed.loc[fixed["psnr"].idxmax()].to_dict()
         names = ("best", "best_psnr", "best_seconds")
@@ -138,11 +146,29 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def complexity_markdown(table: pd.DataFrame) -> str:
     """A heading, one table for every data set, and a legend."""
-    header = ["method", "scene", "chosen", "dB", "s", "best fixed", "dB", "s"]
-    header += ["regret dB", "regret s", "note"]
-    forms = {"chosen": ",.0f", "psnr": ".2f", "seconds": ".1f", "best": ",.0f"}
-    forms |= {"best_psnr": ".2f", "best_seconds": ".1f", "regret_db": "+.2f"}
-    forms |= {"regret_seconds": "+.1f"}
+    header = [
+        "method",
+        "scene",
+        "chosen",
+        "dB",
+        "s",
+        "best fixed",
+        "dB",
+        "s",
+        "regret dB",
+        "regret s",
+        "note",
+    ]
+    forms = {
+        "chosen": ",.0f",
+        "psnr": ".2f",
+        "seconds": ".1f",
+        "best": ",.0f",
+        "best_psnr": ".2f",
+        "best_seconds": ".1f",
+        "regret_db": "+.2f",
+        "regret_seconds": "+.1f",
+    }
     parts = [f"# {TITLE}\n"]
     for dataset, rows in table.groupby("dataset", sort=False):
         body = []
@@ -188,10 +214,10 @@ def size_curves(
     fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"])
     fits = fits.assign(chosen=math.nan, name=fits["method"].map(entrants.name))
     fits = fits[_is_fixed(fits) | (fits["variant"] == CHOSEN)]
-    made = [fits[:0]]
-    for _, mine in fits.groupby(["dataset", "method"], sort=False):
-        if _is_fixed(mine).any():
-            sizes = mine[mine["variant"] == CHOSEN].drop_duplicates("scene").set_index("scene")
-            mine = mine.assign(chosen=mine["scene"].map(sizes["primitives"]))
-            made.append(mine.sort_values(["chosen", "scene", "primitives"], kind="stable"))
-    return pd.concat(made, ignore_index=True)
+    sized = [fits[:0]]
+    for _, curve in fits.groupby(["dataset", "method"], sort=False):
+        if _is_fixed(curve).any():
+            sizes = curve[curve["variant"] == CHOSEN].drop_duplicates("scene").set_index("scene")
+            curve = curve.assign(chosen=curve["scene"].map(sizes["primitives"]))
+            sized.append(curve.sort_values(["chosen", "scene", "primitives"], kind="stable"))
+    return pd.concat(sized, ignore_index=True)

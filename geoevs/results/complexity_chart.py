@@ -1,11 +1,16 @@
 """Pictures of accuracy over size: what each scene needs, and what was chosen for it."""
 
+from pathlib import Path
+
 import altair as alt
 import numpy as np
 import pandas as pd
 
-from geoevs.results.chart_pages import WIDTH, layered, stacked
-from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE
+from geoevs.core.files import write_text
+from geoevs.results.chart_pages import WIDTH, layered, stacked, write_page
+from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE, size_curves
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
 
 COLUMNS = 4
 """Panels side by side."""
@@ -18,6 +23,28 @@ NOTHING = (
 SHAPES = {"fixed": "circle", "chosen": "diamond"}
 
 
+def write_size_chart(
+    stem: Path,
+    scores: pd.DataFrame,
+    costs: pd.DataFrame,
+    settings: TableSettings,
+    entrants: Entrants,
+) -> None:
+    """Draw accuracy over size as CSV, PNG and a page that needs no network.
+
+    Args:
+        stem: the path without suffix.
+        scores: the run's score rows.
+        costs: its cost rows.
+        settings: the config's `tables` section.
+        entrants: who plays.
+    """
+    table = size_curves(scores, costs, settings, entrants)
+    page = size_chart(table)
+    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_page(stem, page)
+
+
 def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
     """A panel for every scene, those of a method together, smallest chosen size first.
 
@@ -28,9 +55,10 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         note = alt.Chart(pd.DataFrame({"note": [list(NOTHING)]})).mark_text(fontSize=13)
         return alt.vconcat(note.encode(text="note:N").properties(width=2 * WIDTH, height=80))
     rows = []
-    for (dataset, _), mine in table.groupby(["dataset", "method"], sort=False):
-        panels = [_panel(some, str(scene)) for scene, some in mine.groupby("scene", sort=False)]
-        title = f"{dataset}: {mine['name'].iloc[0]}"
+    for (dataset, _), fits in table.groupby(["dataset", "method"], sort=False):
+        scenes = fits.groupby("scene", sort=False)
+        panels = [_panel(of_scene, str(scene)) for scene, of_scene in scenes]
+        title = f"{dataset}: {fits['name'].iloc[0]}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
     return stacked(rows, title)

@@ -1,11 +1,13 @@
 """What every method cost: time, memory and size, beside the tables that say how good it is."""
 
+from pathlib import Path
+
 import pandas as pd
 
 from geoevs.protocol.entries import CONTROL, FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.entrants import ENTRANT, Entrants
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 
 COLUMNS = {
     "fit_seconds": "fit s",
@@ -59,6 +61,11 @@ def make_cost_table(costs: pd.DataFrame, entrants: Entrants) -> pd.DataFrame:
             }
         )
     return entrants.describe(pd.DataFrame(table))
+
+
+def write_cost_table(stem: Path, costs: pd.DataFrame, entrants: Entrants) -> None:
+    """Write `make_cost_table` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_cost_table(costs, entrants), cost_markdown)
 
 
 def _joined_notes(fits: pd.DataFrame) -> str:

@@ -34,6 +34,13 @@ class Failure:
     log: str
     stressed: bool = False
 
+    def __str__(self) -> str:
+        """One sentence, and where to look for the cause."""
+        return (
+            f"{self.method} ({self.variant}) could not {self.stage} {self.place}: {self.reason}; "
+            f"log: {self.log}"
+        )
+
 
 def run_failures(run: Path) -> list[Failure]:
     """All failures of a run: of its fits and renders, then of the stability suite if it was run.
@@ -41,11 +48,28 @@ def run_failures(run: Path) -> list[Failure]:
     Raises:
         GeoEvsError: cost rows are missing, or a file is damaged.
     """
-    stressed = run / layout.STABILITY_SCORES
     return [
         *fit_failures(_failed(run / layout.COSTS)),
-        *(stress_failures(_failed(stressed)) if stressed.exists() else []),
+        *known_failures(stability=run / layout.STABILITY_SCORES),
     ]
+
+
+def known_failures(costs: Path | None = None, stability: Path | None = None) -> list[Failure]:
+    """Failures of a run as far as it has come: a file of rows that is not there has none.
+
+    Args:
+        costs: the run's cost rows.
+        stability: the stability suite's score rows.
+
+    Raises:
+        GeoEvsError: a file is damaged.
+    """
+    failures: list[Failure] = []
+    if costs is not None and costs.exists():
+        failures += fit_failures(_failed(costs))
+    if stability is not None and stability.exists():
+        failures += stress_failures(_failed(stability))
+    return failures
 
 
 def fit_failures(costs: pd.DataFrame) -> Iterator[Failure]:
@@ -56,14 +80,14 @@ def fit_failures(costs: pd.DataFrame) -> Iterator[Failure]:
 
 
 def stress_failures(scores: pd.DataFrame) -> Iterator[Failure]:
-    """Those of the stability suite's score rows: one for all conditions that ended the same way."""
+    """Those of the stability suite's score rows: one for all stresses that ended the same way."""
     failed = scores[scores["status"] == FAILED]
     for key, rows in failed.groupby(["dataset", "scene", *_ENDING], sort=False):
         dataset, scene, *ending = key
         draws = ", ".join(str(draw) for draw in sorted(rows["seed"].unique()))
         levels = "; ".join(
-            f"{stressor} {', '.join(f'{level:g}' for level in some['level'].unique())}"
-            for stressor, some in rows.groupby("stressor", sort=False)
+            f"{stressor} {', '.join(f'{level:g}' for level in stressed['level'].unique())}"
+            for stressor, stressed in rows.groupby("stressor", sort=False)
         )
         place = f"{dataset}/{scene}, stressed by {levels} (draws {draws})"
         yield Failure(**dict(zip(_ENDING, ending, strict=True)), place=place, stressed=True)

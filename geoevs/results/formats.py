@@ -1,14 +1,20 @@
 """Tables for people: Markdown and LaTeX, with intervals, flags and the paper's numbers."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 
 import pandas as pd
 
+from geoevs.core.files import write_text
 from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.table_specs import TableSpec
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TableSpec, table_spec
+from geoevs.results.tables import make_table
 
 LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
@@ -18,6 +24,53 @@ images of other instants. Empty = not run, not measurable here, or not said.
 """
 
 LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}
+
+
+Text = Callable[[pd.DataFrame], str]
+"""From a table to how people read it."""
+
+
+def write_table(
+    stem: Path,
+    name: str,
+    scores: pd.DataFrame,
+    settings: TableSettings,
+    entrants: Entrants,
+    sets: pd.DataFrame | None = None,
+) -> None:
+    """Write one of TABLES as CSV, Markdown and LaTeX.
+
+    Args:
+        stem: the path without suffix.
+        name: one of TABLES.
+        scores: score rows.
+        settings: the config's `tables` section.
+        entrants: who plays.
+        sets: rows of distances between sets, if there are any.
+
+    Raises:
+        GeoEvsError: there is no such table, or rows come from different protocols.
+    """
+    spec = table_spec(name)
+    table = make_table(name, scores, settings, entrants, sets)
+    write_formats(stem, table, partial(to_markdown, spec), partial(to_latex, spec))
+
+
+def write_formats(
+    stem: Path, table: pd.DataFrame, markdown: Text, latex: Text | None = None
+) -> None:
+    """Write a table as CSV, Markdown and, where it has that form, LaTeX.
+
+    Args:
+        stem: the path without suffix.
+        table: what the CSV holds.
+        markdown: makes text of it.
+        latex: likewise, or None.
+    """
+    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".md"), markdown(table))
+    if latex is not None:
+        write_text(stem.with_suffix(".tex"), latex(table))
 
 
 def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
@@ -70,10 +123,14 @@ def latex_tabular(
 
 def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     lacking = {why.partition(":")[0] for why in _unmeasured(rows)}
-    shown = [m for m in (*spec.metrics, *spec.set_metrics) if m in lacking or _has_content(rows, m)]
+    metrics = [
+        metric
+        for metric in (*spec.metrics, *spec.set_metrics)
+        if metric in lacking or _has_content(rows, metric)
+    ]
     about = {"bin": "bin"} if spec.bins else {"paradigm": "paradigm", "extra_prior": "extra prior"}
     header = ["method", *about.values()]
-    for metric in shown:
+    for metric in metrics:
         if f"{metric}_paper" in rows:
             header.append(f"{metric} {arrow(metric)} paper")
         header.append(f"{metric} {arrow(metric)}")
@@ -84,7 +141,7 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         name = row["name"]
         line = [f"*{name}*" if row["group"] == "control" else name]
         line += [row[column] for column in about]
-        for metric in shown:
+        for metric in metrics:
             if f"{metric}_paper" in rows:
                 line.append(number(metric, row[f"{metric}_paper"]))
             without = metric in lacking and row["unmeasured"]

@@ -1,13 +1,14 @@
 """Depth of recorded views before and after fine-tuning, with what it costs (paper section 3.2)."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from geoevs.protocol.depth_scoring import CONTROL, COVERAGE, FINE_TUNED, PRETRAINED
 from geoevs.results.bootstrap import summarise
-from geoevs.results.formats import latex_tabular, markdown_grid
+from geoevs.results.formats import latex_tabular, markdown_grid, write_formats
 from geoevs.results.settings import TableSettings
 
 METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑", COVERAGE: "↑"}
@@ -40,10 +41,10 @@ def make_geometry_table(scores: pd.DataFrame, settings: TableSettings) -> pd.Dat
     for key, rows in scores.groupby(_ENTRANT, sort=False):
         row: dict[str, Any] = dict(zip(_ENTRANT, key, strict=True))
         for suffix, summary in (("", measured), ("_change", changed)):
-            mine = summary[(summary[_ENTRANT] == list(key)).all(axis=1)].set_index("metric")
+            cells = summary[(summary[_ENTRANT] == list(key)).all(axis=1)].set_index("metric")
             for metric in METRICS:
                 for column, end in (("mean", ""), ("low", "_low"), ("high", "_high")):
-                    row[metric + suffix + end] = mine[column].get(metric, math.nan)
+                    row[metric + suffix + end] = cells[column].get(metric, math.nan)
         once = rows[rows["metric"] == next(iter(METRICS))]
         row["n"] = int(once["value"].notna().sum())
         row["truth"] = " ".join(once["truth"].unique())
@@ -51,6 +52,12 @@ def make_geometry_table(scores: pd.DataFrame, settings: TableSettings) -> pd.Dat
         row["parameters"] = int(once["parameters"].iloc[0])
         table.append(row)
     return pd.DataFrame(table)
+
+
+def write_geometry_table(stem: Path, scores: pd.DataFrame, settings: TableSettings) -> None:
+    """Write `make_geometry_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
+    table = make_geometry_table(scores, settings)
+    write_formats(stem, table, geometry_markdown, geometry_latex)
 
 
 def geometry_markdown(table: pd.DataFrame) -> str:
@@ -81,18 +88,18 @@ def _changes(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _grid(rows: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
-    shown = [
+    columns = [
         (metric + suffix, f"{metric} {'change' if suffix else arrow}")
         for metric, arrow in METRICS.items()
         for suffix in ("", "_change")
         if (rows[f"{metric}_change"].any() if suffix else rows[metric].notna().any())
     ]
-    header = ["model", "stage", "scale", *(title for _, title in shown)]
+    header = ["model", "stage", "scale", *(title for _, title in columns)]
     body = []
     for row in rows.to_dict("records"):
         name = f"*{row['model']}*" if row["stage"] == CONTROL else row["model"]
         line = [name, row["stage"], row["scale"]]
-        line += [_cell(row, column) for column, _ in shown]
+        line += [_cell(row, column) for column, _ in columns]
         line += [row["truth"], str(row["n"]), f"{row['seconds']:.3g}", f"{row['parameters']:,}"]
         body.append(line)
     return [*header, "truth", "n", "s / frame", "parameters"], body

@@ -13,20 +13,34 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import whole_file
+from geoevs.core.files import read_json, whole_file, write_bytes, write_json
 
 PACKAGES = (
-    *("geoevs", "snakemake", "torch", "numpy", "pandas", "pyarrow", "scikit-image", "kornia"),
-    *("opencv-contrib-python-headless", "pycolmap", "mitsuba", "numba", "scipy", "pillow"),
-    *("diffusers", "safetensors"),
+    "geoevs",
+    "snakemake",
+    "torch",
+    "numpy",
+    "pandas",
+    "pyarrow",
+    "scikit-image",
+    "kornia",
+    "opencv-contrib-python-headless",
+    "pycolmap",
+    "mitsuba",
+    "numba",
+    "scipy",
+    "pillow",
+    "diffusers",
+    "safetensors",
 )
 
 
 def make_manifest(
     config: Mapping[str, Any], inputs: Sequence[Path], configfiles: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Commit, config, input hashes, versions and machine; no times, so that reruns agree.
+    """Commit, protocol, config, input hashes, versions and machine; no times, so that reruns agree.
 
     Args:
         config: the merged config of the run.
@@ -35,6 +49,7 @@ def make_manifest(
     """
     return {
         "commit": _commit(),
+        "protocol": PROTOCOL,
         "configfiles": list(configfiles),
         "config": config,
         "seed": config["seed"],
@@ -42,6 +57,32 @@ def make_manifest(
         "versions": _versions(),
         "machine": _machine(),
     }
+
+
+def install_weights(
+    folder: Path, files: Sequence[Path], work: Mapping[str, Path], config: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Put pretrained weights where trainings start from, with what they were made of.
+
+    Other weights in that folder, and what is written down of them, stay.
+
+    Args:
+        folder: where trainings start from; `provenance.json` in it says of what.
+        files: the new weights.
+        work: each training's own folder, which has its `losses.csv`.
+        config: the merged config of the run that made them.
+
+    Returns:
+        What was written down of the new weights.
+    """
+    losses = {name: training / "losses.csv" for name, training in work.items()}
+    provenance = make_provenance(config, files, losses)
+    record = folder / "provenance.json"
+    history = add_provenance(provenance, read_json(record) if record.exists() else [])
+    for path in files:
+        write_bytes(folder / path.name, path.read_bytes())
+    write_json(record, history)
+    return provenance
 
 
 def make_provenance(

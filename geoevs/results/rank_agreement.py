@@ -1,5 +1,6 @@
 """Whether methods come in the paper's order here: Kendall's tau for every table of methods."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from geoevs.protocol.entries import DEFAULT
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import redraw
-from geoevs.results.formats import markdown_grid
+from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.paper import paper_method, paper_values
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import table_spec
@@ -54,6 +55,11 @@ def make_rank_agreement(scores: pd.DataFrame, settings: TableSettings) -> pd.Dat
             if any(metric in printed for printed in paper_values(table).values())
         ]
     )
+
+
+def write_rank_agreement(stem: Path, scores: pd.DataFrame, settings: TableSettings) -> None:
+    """Write `make_rank_agreement` as CSV and Markdown; `stem` is the path without suffix."""
+    write_formats(stem, make_rank_agreement(scores, settings), rank_agreement_markdown)
 
 
 def rank_agreement_markdown(table: pd.DataFrame) -> str:

@@ -18,12 +18,33 @@ from geoevs.results.settings import TableSettings
 
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
-    *(*ENTRANT, "name", "control", "stressor", "level", "metric"),
-    *("mean", "low", "high", "change", "change_low", "change_high"),
-    *("relative_degradation", "worst_decile", "failure_rate", "n"),
+    *ENTRANT,
+    "name",
+    "control",
+    "stressor",
+    "level",
+    "metric",
+    "mean",
+    "low",
+    "high",
+    "change",
+    "change_low",
+    "change_high",
+    "relative_degradation",
+    "worst_decile",
+    "failure_rate",
+    "n",
 ]
 BREAKING_COLUMNS = [
-    *(*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead", *INFO),
+    *ENTRANT,
+    "stressor",
+    "metric",
+    "level",
+    "low",
+    "high",
+    "control",
+    "lead",
+    *INFO,
 ]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""
@@ -120,16 +141,15 @@ def _floor(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _world(scores: pd.DataFrame) -> pd.Series:
-    """The level of the stressor that made a row's world; NaN is the clean one."""
-    worlds = [name for name, stressor in STRESSORS.items() if stressor.acts_on == "world"]
-    return scores["level"].where(scores["stressor"].isin(worlds))
+    """The stressor and level that made a row's world; empty is the clean one."""
+    worlds = [name for name, stressor in STRESSORS.items() if stressor.kind == "world"]
+    names = scores["stressor"].astype(str) + " " + scores["level"].astype(str)
+    return names.where(scores["stressor"].isin(worlds), "")
 
 
 def _own_mildest() -> list[str]:
     """Stressors whose mildest level takes the place of CLEAN, because the truth differs."""
-    return [
-        name for name, stressor in STRESSORS.items() if stressor.acts_on in ("world", "targets")
-    ]
+    return [name for name, stressor in STRESSORS.items() if stressor.kind in ("world", "targets")]
 
 
 def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
@@ -212,9 +232,18 @@ def breaking_points(
         for who, curve in here.items():
             if entrants.is_control(*who) or not controls:
                 continue
-            row = dict(zip(ENTRANT, (dataset, *who), strict=True)) | entrants.columns(*who)
-            row |= {"stressor": stressor, "metric": metric}
-            table.append(row | _breaking_point(curve, controls, settings))
+            method, variant = who
+            table.append(
+                {
+                    "dataset": dataset,
+                    "method": method,
+                    "variant": variant,
+                    "stressor": stressor,
+                    "metric": metric,
+                    **_breaking_point(curve, controls, settings),
+                    **entrants.columns(method, variant),
+                }
+            )
     return pd.DataFrame(table, columns=BREAKING_COLUMNS)
 
 

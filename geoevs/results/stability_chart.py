@@ -1,10 +1,14 @@
 """Curves over the levels of a stressor, one line for every method."""
 
+from pathlib import Path
+
 import altair as alt
 import numpy as np
 import pandas as pd
 
+from geoevs.core.files import write_text
 from geoevs.protocol.stressors import STRESSORS
+from geoevs.results.chart_pages import write_page
 
 PANELS = {
     "sparse_psnr": "sparse PSNR, dB",
@@ -15,6 +19,20 @@ PANELS = {
     "psnr_new": "PSNR where it has none, dB",
 }
 COLUMNS = ["dataset", "name", "control", "level", "metric", "mean", "low", "high"]
+
+
+def write_stability_chart(stem: Path, table: pd.DataFrame, stressor: str) -> None:
+    """Draw every entrant over a stressor's levels as CSV, PNG and a page that needs no network.
+
+    Args:
+        stem: the path without suffix.
+        table: what `make_stability_table` made.
+        stressor: one of STRESSORS.
+    """
+    rows = curves(table, stressor)
+    page = stability_curves(rows, stressor)
+    write_text(stem.with_suffix(".csv"), rows.to_csv(index=False))
+    write_page(stem, page)
 
 
 def curves(table: pd.DataFrame, stressor: str) -> pd.DataFrame:
@@ -35,8 +53,8 @@ def stability_curves(rows: pd.DataFrame, stressor: str) -> alt.VConcatChart:
     """One panel for every data set and metric: severity against score, bands for intervals."""
     order = list(dict.fromkeys(rows["severity"]))
     panels = []
-    for (dataset, metric), shown in rows.groupby(["dataset", "metric"], sort=False):
-        base = alt.Chart(shown).encode(
+    for (dataset, metric), points in rows.groupby(["dataset", "metric"], sort=False):
+        base = alt.Chart(points).encode(
             x=alt.X("severity:N", title=STRESSORS[stressor].title, sort=order).axis(labelAngle=0),
             color=alt.Color("name:N", title=None).legend(symbolOpacity=1),
         )

@@ -2,15 +2,23 @@
 
 from collections.abc import Callable
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from geoevs.core.files import write_text
 from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.stability_scoring import SPREADS
-from geoevs.results.entrants import ENTRANT
+from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.formats import markdown_grid, with_interval
-from geoevs.results.stability import JUDGED_BY
+from geoevs.results.settings import TableSettings
+from geoevs.results.stability import (
+    JUDGED_BY,
+    breaking_points,
+    make_stability_table,
+    seed_spread,
+)
 
 BREAKING_LEGEND = """The first level at which a method's mean is below that of the best control
 under the same stress [over resamples of frames and draws: from the mildest to the hardest].
@@ -25,6 +33,31 @@ LEFT_LEGEND = f"""Mean at a stressor's hardest level in dB, and that minus the m
 SPREAD_LEGEND = """Standard deviation over draws without stress, in 8-bit levels, where raw
 reprojection supports a pixel and where not.
 """
+
+
+def write_stability(
+    folder: Path, scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
+    """Write the curves, the breaking points and the seed spread as CSV, and the page in words.
+
+    Args:
+        folder: where `stability.csv`, `breaking_points.csv`, `seed_spread.csv` and
+            `breaking_points.md` go.
+        scores: the suite's score rows.
+        settings: the config's `tables` section.
+        entrants: who plays.
+
+    Raises:
+        GeoEvsError: the rows come from different protocols.
+    """
+    tables = {
+        "stability": make_stability_table(scores, settings, entrants),
+        "breaking_points": breaking_points(scores, settings, entrants),
+        "seed_spread": seed_spread(scores, settings, entrants),
+    }
+    for name, table in tables.items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    write_text(folder / "breaking_points.md", stability_markdown(*tables.values()))
 
 
 def stability_markdown(curves: pd.DataFrame, broken: pd.DataFrame, spread: pd.DataFrame) -> str:
@@ -70,9 +103,10 @@ def _grid(rows: pd.DataFrame, cell: Cell, heading: Cell) -> str:
     """A line for every entrant, a column for every stressor."""
     columns = {row["stressor"]: heading(row) for row in rows.to_dict("records")}
     body = []
-    for _, mine in rows.groupby(["method", "variant"], sort=False):
-        cells = {row["stressor"]: cell(row) for row in mine.to_dict("records")}
-        body.append([mine["name"].iloc[0], *(cells.get(stressor, "") for stressor in columns)])
+    for _, stressed in rows.groupby(["method", "variant"], sort=False):
+        cells = {row["stressor"]: cell(row) for row in stressed.to_dict("records")}
+        name = stressed["name"].iloc[0]
+        body.append([name, *(cells.get(stressor, "") for stressor in columns)])
     return markdown_grid(["method", *columns.values()], body)
 
 

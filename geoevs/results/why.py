@@ -28,23 +28,24 @@ def explain(cell: Cell, run: Path) -> list[str]:
     record = Record(run)
     _refuse_suites(cell.table, run)
     known("table", cell.table, [*TABLES, *OTHERS])
-    found = OTHERS.get(cell.table, _of_table)(cell, record)
-    fingerprints = record.scores.loc[record.scores["dataset"] == record.dataset(cell.dataset)]
-    lines = list(found.value)
-    for some in found.rows:
-        where = run / some.file
+    answer = OTHERS.get(cell.table, _of_table)(cell, record)
+    scores = record.scores.loc[record.scores["dataset"] == record.dataset(cell.dataset)]
+    lines = list(answer.value)
+    for rows in answer.rows:
+        where = run / rows.file
         lines.append(
-            f"rows      {len(some.rows)} in {where}, as pandas.DataFrame.query takes them:"
+            f"rows      {len(rows.rows)} in {where}, as pandas.DataFrame.query takes them:"
         )
-        lines.append(f"          {some.query}")
-    lines += found.pictures
-    lines += [f"{'' if number else 'config':9} {line}" for number, line in enumerate(found.config)]
+        lines.append(f"          {rows.query}")
+    lines += answer.pictures
+    lines += [f"{'' if number else 'config':9} {line}" for number, line in enumerate(answer.config)]
     lines.append(
         f"commit    {record.manifest['commit']}, seed {record.manifest['seed']}, "
-        f"protocol {fingerprints['fingerprint'].iloc[0]}"
+        f"protocol {record.manifest.get('protocol', 'not recorded')} "
+        f"(fingerprint {scores['fingerprint'].iloc[0]})"
     )
-    lines += [f"log       {path}" for path in found.logs if Path(path).exists()]
-    return [*lines, "rerun     " + record.command(found, cell.table)]
+    lines += [f"log       {path}" for path in answer.logs if Path(path).exists()]
+    return [*lines, "rerun     " + record.command(answer, cell.table)]
 
 
 def _of_table(cell: Cell, record: Record) -> Found:
@@ -68,11 +69,11 @@ def _of_table(cell: Cell, record: Record) -> Found:
     rows = Rows.of(file, frame, terms)
     entries = record.entries(dataset, method.method, [method.variant])
     scenes = record.scenes(dataset)
-    shown = (row for _, row in ranked(rows.rows))
+    views = (row for _, row in ranked(rows.rows))
     if of_sets:  # which have no worst view: all of them made the number
-        shown = here.query(" and ".join(terms_of(**who, split=list(spec.splits)))).itertuples()
+        views = here.query(" and ".join(terms_of(**who, split=list(spec.splits)))).itertuples()
     return Found(
-        list(_value(cell, row, dataset)),
+        [*_value(cell, row, dataset), record.entrant_line(method.method, method.variant)],
         [rows],
         [
             *([] if of_sets else record.extremes(rows.rows)),
@@ -80,7 +81,7 @@ def _of_table(cell: Cell, record: Record) -> Found:
         ],
         record.config_of([method.label]),
         record.parts(dataset, scenes, entries),
-        logs=record.logs(shown),
+        logs=record.logs(views),
     )
 
 

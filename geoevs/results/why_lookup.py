@@ -12,7 +12,7 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, whole_file
-from geoevs.protocol.entries import MethodEntry, label_of, name_of
+from geoevs.protocol.entries import DEFAULT, MethodEntry, label_of, name_of
 from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
 
@@ -104,6 +104,13 @@ class Record:
     def entrants(self) -> Entrants:
         """Who plays."""
         return Entrants.read(self.run / layout.ENTRANTS)
+
+    def entrant_line(self, method: str, variant: str = DEFAULT) -> str:
+        """Who plays: name, paradigm and extra prior, as far as they are known."""
+        cells = self.entrants.columns(method, variant)
+        said = {"paradigm": cells["paradigm"], "extra prior": cells["extra_prior"]}
+        parts = [f"{what} {text}" for what, text in said.items() if text]
+        return f"entrant   {'; '.join([cells['name'], *parts])}"
 
     def read(self, name: str) -> pd.DataFrame:
         """The rows of one of the run's files.

@@ -51,6 +51,7 @@ def why_ablation(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, table[table["variant"] == variant].iloc[0], dataset),
             *([f"note      {notes[end]}"] if end else []),
+            record.entrant_line(method, variant),
         ],
         [rows],
         [*record.extremes(mine), *record.pictures(dataset, entries[0].label)],
@@ -93,7 +94,7 @@ def why_geometry(cell: Cell, record: Record) -> Found:
         [value_line(cell, mine[places == place].iloc[0], dataset)],
         [rows],
         [*views, "pictures  no depth is kept: these are the photos that it was predicted from"],
-        [*learnt, f"tables: {record.settings}"],
+        [*learnt, f"tables: {record.config['tables']}"],
         [record.path(layout.DEPTH_SCORE_PART, dataset, scene) for scene in scenes],
         rules=("depth_scores_of_scene",),
         logs=[
@@ -125,6 +126,7 @@ def why_complexity(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, mine[mine["scene"] == scene].iloc[0], dataset),
             f"note      {complexity.CHOSEN} chose its size; the best of the others was found after",
+            record.entrant_line(method, complexity.CHOSEN),
         ],
         [rows, Rows.of(layout.COSTS, record.costs, fits)],
         [*record.extremes(rows.rows), *record.pictures(dataset, entries[0].label)],
@@ -153,6 +155,7 @@ def why_costs(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, table.iloc[names.index(name)], dataset),
             f"note      the mean of the rows' column {source}{unit}; a cost has no pictures",
+            record.entrant_line(entry.method, entry.variant),
         ],
         [rows],
         [

@@ -18,7 +18,13 @@ TRACK_COLUMNS = (
     "frame",
     "track",
     "label",
-    *("x", "y", "z", "length", "width", "height", "yaw"),
+    "x",
+    "y",
+    "z",
+    "length",
+    "width",
+    "height",
+    "yaw",
     "moving",
 )
 
@@ -147,6 +153,14 @@ class SceneSource(Protocol):
 
     has_truth: bool
 
+    def check(self, scene: "SceneRef") -> None:
+        """Refuse a scene, or a range of frames, that its options rule out; no data are looked at.
+
+        Raises:
+            GeoEvsError: there can be no such scene.
+        """
+        ...
+
     def open(self, scene: "SceneRef") -> SceneRecord:
         """Open a scene; its frames are read or rendered as they are iterated."""
         ...
@@ -171,9 +185,9 @@ class SceneRef(NamedTuple):
             GeoEvsError: the text is of neither form; names have letters, digits and `_ . -`, so
                 that none leaves its folder or needs quotes.
         """
-        found = re.fullmatch(r"([a-zA-Z0-9_][a-zA-Z0-9_.-]*)(?:@([0-9]+)-([0-9]+))?", text)
-        if found is not None:
-            name, first, last = found.groups()
+        match = re.fullmatch(r"([a-zA-Z0-9_][a-zA-Z0-9_.-]*)(?:@([0-9]+)-([0-9]+))?", text)
+        if match is not None:
+            name, first, last = match.groups()
             if first is None:
                 return cls(name)
             if int(first) <= int(last):

@@ -40,22 +40,21 @@ def geoevs(monkeypatch, capsys):
 
 def test_from_a_scene_to_its_pairs_and_library(geoevs, stage, tmp_path):
     scene = ("--scene", stage.scene.folder)
-    maps, pairs, masks, library = (tmp_path / f"{n}.npz" for n in ("maps", "pairs", "m", "library"))
+    maps, prepared, library = (tmp_path / f"{n}.npz" for n in ("maps", "prepared", "library"))
     assert geoevs("point-maps", *scene, "--model", "lidar", "--out", maps) == (0, "")
     assert geoevs.asked == [("lidar", None)]
-    source = (*scene, "--point-maps", maps)
-    assert geoevs("pairs", *source, "--out", pairs) == (0, "")
     poses = json.dumps({"yaw": [0.5], "lateral": [-1, 1]})
-    assert geoevs("masks", *source, "--poses", poses, "--out", masks) == (0, "")
-    assert geoevs("mask-library", masks, masks, "--out", library) == (0, "")
-    assert len(read_pairs([pairs])) == 6
+    inputs = ("--point-maps", maps, "--mask-poses", poses)
+    assert geoevs("prepare", "geo-evs", *scene, *inputs, "--out", prepared) == (0, "")
+    assert geoevs("combine", "geo-evs", prepared, prepared, "--out", library) == (0, "")
+    assert len(read_pairs([prepared])) == 6
     # Two frames, two sides, two shifts; the part was given twice.
     assert len(read_artifact_masks(library)) == 2 * 8
     assert np.unique(read_artifact_masks(library).scene).tolist() == ["tiny"]
 
 
 def test_a_library_of_nothing_is_one_sentence(geoevs, tmp_path):
-    code, errors = geoevs("mask-library", "--out", tmp_path / "library.npz")
+    code, errors = geoevs("combine", "geo-evs", "--out", tmp_path / "library.npz")
     assert code == 1
     sentence = "holds no masks; name training scenes under partitions.train of a data set"
     assert errors == f"error: the mask library {sentence}\n"
@@ -63,7 +62,7 @@ def test_a_library_of_nothing_is_one_sentence(geoevs, tmp_path):
 
 
 def test_help_needs_no_torch():
-    code = "import sys, geoevs.cli.conditions, geoevs.conditions.injection; print(*sys.modules)"
+    code = "import sys, geoevs.cli.trainings, geoevs.conditions.injection; print(*sys.modules)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     modules = shown.stdout.split()
     assert "geoevs.conditions.injection" in modules

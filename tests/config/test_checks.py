@@ -5,14 +5,11 @@ import pytest
 import yaml
 
 import baselines
-from geoevs.config.checks import (
-    check_config,
-    expand_scenes,
-    method_entries,
-    partition_scenes,
-    stability_entries,
-)
+from geoevs.config.checks import check_config
+from geoevs.config.entrants import method_entries, stability_entries
+from geoevs.config.partitions import expand_scenes, partition_scenes
 from geoevs.core.errors import GeoEvsError
+from geoevs.protocol.stressors import STRESSORS, Stressor
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
@@ -38,11 +35,12 @@ methods:
   reference: {}
   reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}
   mean-colour: null
-tables: {
-  pose_bins: [0, 10],
-  support_bins: [0, 0.1],
-  resamples: 100, ablation: reproject,
-  confidence: 0.95}
+tables:
+  ablation: reproject-inpaint
+  pose_bins: [0, 10]
+  support_bins: [0, 0.1]
+  resamples: 100
+  confidence: 0.95
 geometry:
   model: lidar
   weights: null
@@ -54,14 +52,7 @@ pretrain:
   prior: *o}
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
-training:
-  {prior: nano, prediction: null, schedule: null, steps: 4, batch: 2, learning_rate: 0.001,
-   drop: 0.1, encoder: trained, validity: true, filled: true, weighting: uniform,
-   masks: reprojected, probability: 0.4, timesteps: uniform, sampling: {steps: 5},
-   variants: {v1: {probability: 0}, v3: {}}}
-freevs:
-  {prior: nano, frames: 3, steps: 4, batch: 2, learning_rate: 0.001, drop: 0.1, simulated: 0.5,
-   noise: {mean: 0.7, std: 1.6}, sampling: {steps: 5}}
+trainings: {}
 stability:
   datasets: []
   seeds: 2
@@ -69,7 +60,7 @@ stability:
   levels:
     {support: [0.02], beams: [], rotation: [], translation: [], cameras: [], exposure: [],
      motion: [], lateral: [], yaw: [], edges: []}
-  methods: {reproject-inpaint.best: {inpaint: push-pull}}
+  methods: {reproject-inpaint.best: {inpaint: telea}}
 """
 
 
@@ -109,11 +100,15 @@ def merged(*texts: str) -> dict:
         ("datasets: []", "datasets: [reel]", "no data set 'reel' .*did you mean 'real'"),
         ("datasets: []", "datasets: [real]", "'real' is under 'evaluate' too"),
         ("support: [0.02]", "support: [0.02], support: [0.03]", "'support' stands in line"),
-        ("support: [0.02]", "suport: [0.02]", "'suport' is not a known key"),
+        (
+            "support: [0.02]",
+            "suport: [0.02]",
+            r"config.yaml:\d+: there is no stressor 'suport'; did you mean 'support'",
+        ),
         ("support: [0.02]", "support: [-1]", "-1 is less than the minimum"),
-        ("best: {inpaint: push-pull}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
-        ("{inpaint: push-pull}", "{paint: no}", "'paint'"),
-        ("best: {inpaint: push-pull}", "best: {}, reference: {}", "nothing that could be stressed"),
+        ("best: {inpaint: telea}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
+        ("{inpaint: telea}", "{paint: no}", "'paint'"),
+        ("best: {inpaint: telea}", "best: {}, reference: {}", "nothing that could be stressed"),
     ],
 )
 def test_a_mistake_in_stability_is_one_sentence(check, old, new, sentence):
@@ -124,7 +119,7 @@ def test_a_mistake_in_stability_is_one_sentence(check, old, new, sentence):
 def test_stability_takes_the_first_seed_and_its_own_options():
     (entry,) = stability_entries(yaml.safe_load(VALID))
     assert (entry.label, entry.seed) == ("reproject-inpaint.best.seed3", 3)
-    assert entry.options == {"inpaint": "push-pull"}
+    assert entry.options == {"inpaint": "telea"}
 
 
 def test_only_worlds_that_a_source_can_make_are_asked_for():
@@ -133,8 +128,31 @@ def test_only_worlds_that_a_source_can_make_are_asked_for():
     config["stability"]["datasets"] = ["stressed"]
     check_config(config, SCHEMA, [])
     config["stability"]["levels"]["motion"] = [5]
-    with pytest.raises(GeoEvsError, match="'pandaset' has no option 'traffic_speed'"):
+    sentence = "'pandaset' has no option 'traffic_speed'.* 'motion' sets that .* an empty list"
+    with pytest.raises(GeoEvsError, match=sentence):
         check_config(config, SCHEMA, [])
+    del config["stability"]["levels"]["motion"]  # its own levels
+    with pytest.raises(GeoEvsError, match=sentence):
+        check_config(config, SCHEMA, [])
+
+
+def test_a_new_stressor_needs_no_change_of_the_schema(check, monkeypatch):
+    check("support: [0.02], ", "")
+    grain = Stressor("rays of a pixel", kind="world", levels=(8,), option="samples")
+    monkeypatch.setitem(STRESSORS, "grain", grain)
+    check("support: [0.02]", "grain: [8, 4]")
+    config = yaml.safe_load(VALID)
+    config["stability"]["levels"]["grain"] = [8]
+    config["datasets"]["stressed"] = config["datasets"]["real"] | {"partitions": {}}
+    config["stability"]["datasets"] = ["stressed"]
+    with pytest.raises(GeoEvsError, match="'pandaset' has no option 'samples'"):
+        check_config(config, SCHEMA, [])
+
+
+def test_the_default_levels_are_those_of_the_config():
+    config = yaml.safe_load((PROJECT / "config.yaml").read_text())
+    levels = config["stability"]["levels"]
+    assert levels == {name: list(STRESSORS[name].levels) for name in levels}
 
 
 def test_a_valid_config_passes(check):
@@ -157,7 +175,7 @@ MISTAKES = {
     "unknown nested key": (
         "  pose_bins: [0, 10]",
         "  pose_bin: [0, 10]",
-        "23: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: ablation, ",
+        "24: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: ablation, ",
     ),
     "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
     "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
@@ -175,7 +193,7 @@ MISTAKES = {
     ),
     "one size": ("[48, 72]", "[48]", "3: 'resolution' is wrong: [48] is too short (it means: "),
     "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is less than the min"),
-    "null": ("confidence: 0.95", "confidence: null", "26: 'tables.confidence' is wrong: None"),
+    "null": ("confidence: 0.95", "confidence: null", "27: 'tables.confidence' is wrong: None"),
     "a run that is a path": ("run: test", "run: ../a", "1: '../a' is not an allowed name; use "),
     "a data set that is a path": (
         "  real:\n",
@@ -234,8 +252,8 @@ MISTAKES = {
         '"001", "001@3-4"',
         "9: data set 'real' has scene '001' in partition 'train' and '001@3-4' in 'train'; ",
     ),
-    "a scene that leaves its folder": ('"002@10-19"', '".."', "9: scene '..' is not of the form"),
-    "a scene in another folder": ('"002@10-19"', '"a/b"', "9: scene 'a/b' is not of the form"),
+    "a scene that leaves its folder": ('"002@10-19"', '".."', "11: scene '..' is not of the form"),
+    "a scene in another folder": ('"002@10-19"', '"a/b"', "11: scene 'a/b' is not of the form"),
     "a number as scene": ('"002@10-19"', "2", "11: 'datasets.real.partitions.test.0' is wrong: 2"),
     "no test scene": (
         '["002@10-19"]',
@@ -243,9 +261,9 @@ MISTAKES = {
         "4: data set 'real' has no test scenes; name some under its partitions.test, or do not ",
     ),
     "no test partition": ('      test: ["002@10-19"]\n', "", "4: data set 'real' has no te"),
-    "a range that falls": ('"001"', "a-9..8", "9: scene 'a-9..8' is not of the form NAME, NA"),
-    "a range of names": ('"001"', "a-1..a-2", "9: scene 'a-1..a-2' is not of the form NAME, NA"),
-    "a range of ranges": ('"001"', "003@0..9", "9: scene '003@0..9' is not of the form NAME, NA"),
+    "a range that falls": ('"001"', "a-9..8", "10: scene 'a-9..8' is not of the form NAME, NA"),
+    "a range of names": ('"001"', "a-1..a-2", "10: scene 'a-1..a-2' is not of the form NAME, NA"),
+    "a range of ranges": ('"001"', "003@0..9", "10: scene '003@0..9' is not of the form NAME, NA"),
     "a range with a scene that is tested": (
         '"001", "002@0-9"',
         '"001..003"',
@@ -254,68 +272,68 @@ MISTAKES = {
     "unknown depth model": (
         "model: lidar",
         "model: vggt-nan",
-        "28: there is no depth model 'vggt-nan'; did you mean 'vggt-nano'? (one of: depth-",
+        "29: there is no depth model 'vggt-nan'; did you mean 'vggt-nano'? (one of: depth-",
     ),
     "a depth model without weights": (
         "model: lidar",
         "model: vggt-1b",
-        "29: depth model 'vggt-1b' needs weights; give their path",
+        "30: depth model 'vggt-1b' needs weights; give their path",
     ),
     "a depth model that cannot learn": (
         "model: lidar\n  weights: null",
         "model: depth-anything-3\n  weights: there",
-        "31: depth model 'depth-anything-3' cannot be fine-tuned; set 'finetune' to null",
+        "32: depth model 'depth-anything-3' cannot be fine-tuned; set 'finetune' to null",
     ),
     "nothing to fine-tune on": (
         "model: lidar",
         "model: vggt-nano",
-        "31: there are no scenes to fine-tune 'vggt-nano' on; name some under partitions.geom",
+        "32: there are no scenes to fine-tune 'vggt-nano' on; name some under partitions.geom",
     ),
     "fine-tuning of no steps": (
         "steps: 2,",
         "steps: 0,",
-        "31: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
+        "32: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
     ),
     "an unknown supervision": (
         "supervision: dense",
         "supervision: sparse",
-        "30: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
+        "31: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
     ),
     "no pretraining": (
         "prior: *o",
         "prior: null",
-        "35: 'pretrain.prior' is wrong: None is not of type 'object'",
+        "36: 'pretrain.prior' is wrong: None is not of type 'object'",
     ),
     "edges that fall": (
         "pose_bins: [0, 10]",
         "pose_bins: [0, 10, 5]",
-        "23: the edges must rise; sort them and drop repeats",
+        "24: the edges must rise; sort them and drop repeats",
     ),
-    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "24: the edges must rise"),
+    "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "25: the edges must rise"),
     "ablation of nobody": (
-        "ablation: reproject",
+        "ablation: reproject-inpaint",
         "ablation: reproject.wide",
-        "25: there is no method 'reproject.wide'; did you mean 'reproject'",
+        "23: there is no method 'reproject.wide'; did you mean 'reproject'",
     ),
     "ablation of an oracle": (
-        "ablation: reproject",
+        "ablation: reproject-inpaint",
         "ablation: truth",
-        "25: there is no method 'truth'; ",
+        "23: there is no method 'truth'; ",
     ),
-    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "23: 'tables.pose_bins' is wrong: [0]"),
+    "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "24: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
     "a mask beyond the side camera": (
         "[0, 1], lateral",
         "[0, 1.5], lateral",
-        "37: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+        "38: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
     ),
     "a mask that tests": (
         "[-2, 2]",
         "[-2, 3]",
-        "37: masks shifted by 3 m are what protocol.masked tests with; change one of them",
+        "38: masks shifted by 3 m are what protocol.masked tests with; change one of them",
     ),
-    "no masks": ("[-2, 2]", "[]", "37: 'conditions.masks.lateral' is wrong: [] "),
+    "no masks": ("[-2, 2]", "[]", "38: 'conditions.masks.lateral' is wrong: [] "),
     "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }

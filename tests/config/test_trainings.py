@@ -1,14 +1,17 @@
 """Trainings in the config: what an entrant takes, what a variant is, and mistakes in either."""
 
 import copy
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import yaml
 
-from geoevs.config.checks import check_config, method_entries, training_settings
+from geoevs.config.checks import check_config
+from geoevs.config.entrants import method_entries
+from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
-from geoevs.methods.finding import make_method
+from geoevs.methods.finding import find_trainings, make_method, training_class
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
@@ -41,14 +44,19 @@ def check(tmp_path):
 MISTAKES = {
     "an unknown training": (
         "methods: {geo-evs: {training: v4}}",
-        "over.yaml:1: there is no training 'v4' under 'training.variants'; did you mean 'v",
+        "over.yaml:1: there is no training 'v4' under 'trainings.geo-evs.variants'; did you mean "
+        "'v",
     ),
-    "a trained method without a training": (
-        "methods:\n  geo-evs.mine: {}",
-        "over.yaml:2: method 'geo-evs.mine' is trained before it is fitted; name one under "
-        "'training' (v1, v2, ",
+    "a method that takes weights without a training": (
+        "methods:\n  geo-evs-support.mine: {}",
+        "over.yaml:2: method 'geo-evs-support.mine' is trained before it is fitted; name one under "
+        "'training' (",
     ),
-    "a training for a method that has none": (
+    "a training of its own for a method that has none": (
+        "methods: {geo-evs-support: {training: v3}}",
+        "over.yaml:1: there is no method that trains called 'geo-evs-support'; did you mean",
+    ),
+    "a training for a method that is not trained": (
         "methods: {reproject: {training: v3}}",
         "over.yaml:1: method 'reproject' is not trained; remove 'training'",
     ),
@@ -60,43 +68,74 @@ MISTAKES = {
         "methods: {geo-evs: {options: {stepps: 3}}}",
         "over.yaml:1: method 'geo-evs' has no option 'stepps'; did you mean 'steps'?",
     ),
-    "another method's training": (
-        "methods: {freevs: {training: v3}}",
-        "over.yaml:1: there is no training 'v3' under 'freevs'; one of: freevs",
+    "weights besides a training": (
+        "methods: {geo-evs: {options: {weights: mine}}}",
+        "over.yaml:1: the weights of 'geo-evs' are those of its training; remove the option",
     ),
-    "a variant with the name of a training of its own": (
-        "training:\n  variants: {freevs: {}}",
-        "over.yaml:2: 'freevs' is FreeVS's own training; rename the variant",
+    "a variant that another method has": (
+        "methods: {freevs: {training: v3}}",
+        "over.yaml:1: there is no training 'v3' under 'trainings.freevs.variants'; one of: default",
+    ),
+    "a variant with the name of the section": (
+        "trainings:\n  geo-evs:\n    variants: {default: {}}",
+        "over.yaml:3: 'default' is the training by the section itself; rename the variant",
+    ),
+    "a training of no method": (
+        "trainings:\n  geo-evz: {}",
+        "over.yaml:2: there is no method that trains called 'geo-evz'; did you mean 'geo-evs'?",
     ),
     "no frames in a clip": (
-        "freevs: {frames: 0}",
-        "over.yaml:1: 'freevs.frames' is wrong: 0 is less",
+        "trainings:\n  freevs:\n    frames: 0",
+        "over.yaml:3: the training of 'freevs' cannot have 0 for its option 'frames'; make it 1 or",
     ),
     "an unknown key": (
-        "training:\n  learning_rat: 1",
-        "over.yaml:2: 'learning_rat' is not a known key; did you mean 'learning_rate'?",
+        "trainings:\n  geo-evs:\n    learning_rat: 1",
+        "over.yaml:3: the training of 'geo-evs' has no option 'learning_rat'; did you mean "
+        "'learning_rate'?",
     ),
     "an unknown key of a variant": (
-        "training: {variants: {v1: {mask: none}}}",
-        "over.yaml:1: 'mask' is not a known key; did you mean 'masks'?",
+        "trainings: {geo-evs: {variants: {v1: {mask: none}}}}",
+        "over.yaml:1: the training of 'geo-evs' has no option 'mask'; did you mean 'masks'?",
     ),
     "an unknown kind of masks": (
-        "training: {variants: {v1: {masks: box}}}",
-        "over.yaml:1: 'training.variants.v1.masks' is wrong: 'box' is not one of ['none', ",
+        "trainings: {geo-evs: {variants: {v1: {masks: box}}}}",
+        "over.yaml:1: the training of 'geo-evs' cannot have 'box' for its option 'masks'; did you "
+        "mean 'boxes'? (one of: boxes, boxes-unmatched, none, reprojected)",
     ),
     "an unknown sampler": (
-        "training: {sampling: {sampler: ddpm}}",
-        "over.yaml:1: 'training.sampling.sampler' is wrong: 'ddpm' is not one of ['ddim', ",
+        "trainings:\n  geo-evs:\n    sampling:\n      sampler: ddpm",
+        "over.yaml:4: the training of 'geo-evs' cannot have 'ddpm' for its option "
+        "'sampling.sampler'; did you mean 'd",
     ),
     "a probability above one": (
-        "training: {probability: 1.5}",
-        "over.yaml:1: 'training.probability' is wrong: 1.5 is greater than the maximum of 1 "
-        "(it means: The paper's p: ",
+        "trainings: {geo-evs: {probability: 1.5}}",
+        "over.yaml:1: the training of 'geo-evs' cannot have 1.5 for its option 'probability'; "
+        "choose from 0 to 1",
     ),
-    "no steps": ("training: {steps: 0}", "over.yaml:1: 'training.steps' is wrong: 0 is less"),
+    "no steps": (
+        "trainings: {geo-evs: {steps: 0}}",
+        "over.yaml:1: the training of 'geo-evs' cannot have 0 for its option 'steps'; make it 1",
+    ),
+    "a number that YAML takes for text": (
+        "trainings: {geo-evs: {learning_rate: 1e-3}}",
+        "over.yaml:1: the training of 'geo-evs' cannot have '1e-3' for its option "
+        "'learning_rate'; write a number, such as 0.5 or 1.0e-3",
+    ),
+    "no number": (
+        "trainings: {geo-evs: {learning_rate: .nan}}",
+        "over.yaml:1: the training of 'geo-evs' cannot have nan for its option 'learning_rate'",
+    ),
     "a variant that is a path": (
-        "training: {variants: {../v1: {}}}",
+        "trainings: {geo-evs: {variants: {../v1: {}}}}",
         "over.yaml:1: '../v1' is not an allowed name; use lower case and hyphens",
+    ),
+    "the section of version 0.1": (
+        "training: {steps: 10}",
+        "over.yaml:1: the section 'training' is 'trainings.geo-evs' now; move its keys under",
+    ),
+    "the other section of version 0.1": (
+        "freevs: {steps: 10}",
+        "over.yaml:1: the section 'freevs' is 'trainings.freevs' now; move its keys under",
     ),
 }
 
@@ -138,31 +177,49 @@ def test_a_frame_may_train_both_in_pairs_and_in_clips(check):
 
 def test_a_variant_is_what_differs_from_the_section(check):
     config = check(
-        "training:\n"
-        "  sampling: {steps: 8, guidance: 1.5}\n"
-        "  variants: {mine: {masks: boxes, sampling: {guidance: 3.0}}}\n"
+        "trainings:\n"
+        "  geo-evs:\n"
+        "    sampling: {steps: 8, guidance: 1.5}\n"
+        "    variants: {mine: {masks: boxes, sampling: {guidance: 3.0}}}\n"
     )
-    shared = {name: value for name, value in config["training"].items() if name != "variants"}
-    mine = training_settings(config, "mine")
+    section = config["trainings"]["geo-evs"]
+    shared = {name: value for name, value in section.items() if name != "variants"}
+    mine = training_settings(config, "geo-evs/mine")
     sampling = shared["sampling"] | {"guidance": 3.0}
     assert mine == shared | {"masks": "boxes", "sampling": sampling}
-    assert training_settings(config, "v3") == shared
+    assert training_settings(config, "geo-evs/v3") == shared
+    assert training_settings(config, "geo-evs/default") == shared
     assert "variants" not in mine
+
+
+def test_a_section_may_be_left_out(check):
+    config = yaml.safe_load((PROJECT / "config.yaml").read_text())
+    del config["trainings"]["freevs"]
+    check_config(config, SCHEMA, [])
+    assert training_settings(config, "freevs/default") == {}
+
+
+@pytest.mark.parametrize("method", find_trainings())
+def test_the_config_spells_out_the_defaults(method):
+    settings = asdict(training_class(method).Settings())
+    section = yaml.safe_load((PROJECT / "config.yaml").read_text())["trainings"][method]
+    section.pop("variants", None)
+    assert section == settings
 
 
 def test_entrants_know_their_training_and_seed(check):
     config = check("methods: {geo-evs: {training: v3, seeds: [0, 2]}}\nseed: 5")
-    found = [
-        (entry.training, entry.seed)
-        for entry in method_entries(config)
-        if (entry.method, entry.variant) == ("geo-evs", "default")
-    ]
-    assert found == [("v3", 5), ("v3", 7)]
+    entries = method_entries(config)
+    trainings = {(entry.name, entry.seed): entry.training for entry in entries}
+    assert trainings["geo-evs", 5] == trainings["geo-evs", 7] == "geo-evs/v3"
+    assert trainings["geo-evs-support", 5] == "geo-evs/v3"
+    assert trainings["freevs", 5] == "freevs/default"
+    assert trainings["reproject", 5] == ""
 
 
 def test_the_papers_scale_is_the_papers(check):
     config = check((PROJECT / "workflow/scales/paper.yaml").read_text())
-    settings = training_settings(config, "v3")
+    settings = training_settings(config, "geo-evs/v3")
     sampling = settings["sampling"]
     assert config["resolution"] == [512, 512]
     assert config["geometry"]["model"] == "vggt-1b"
@@ -171,7 +228,7 @@ def test_the_papers_scale_is_the_papers(check):
     assert (settings["masks"], settings["probability"]) == ("reprojected", 0.4)
     assert settings["validity"] is False
     assert (sampling["steps"], sampling["guidance"]) == (30, 1.5)
-    freevs = config["freevs"]
+    freevs = training_settings(config, "freevs/default")
     assert (freevs["learning_rate"], freevs["drop"], freevs["simulated"]) == (5e-5, 0.2, 0.5)
     assert freevs["noise"] == {"mean": 0.7, "std": 1.6}
     assert freevs["sampling"] == {

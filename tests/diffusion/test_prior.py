@@ -24,8 +24,10 @@ from geoevs.diffusion.prior import (
     save_denoiser,
 )
 from geoevs.diffusion.process import Diffusion
-from geoevs.generator.geo_evs.model import Generator, Sampling
-from geoevs.generator.geo_evs.task import GeoEvsTask, TrainingSettings, train_geo_evs
+from geoevs.diffusion.sampling import Sampling
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.task import GeoEvsTask, train_geo_evs
+from geoevs.generator.geo_evs.training import Settings
 
 
 @pytest.fixture(autouse=True)
@@ -145,11 +147,11 @@ def test_a_public_checkpoint_is_read(public, tmp_path):
 
 
 def test_training_starts_from_a_public_checkpoint(public, pairs, library, tmp_path):
-    settings = TrainingSettings(
+    settings = Settings(
         **{"prior": str(public), "prediction": "epsilon", "schedule": None, "encoder": "trained"},
         **{"steps": 2, "batch": 4, "learning_rate": 1e-2, "drop": 0.1, "validity": True},
         **{"filled": True, "weighting": "uniform", "timesteps": "uniform", "masks": "reprojected"},
-        **{"probability": 0.4, "sampling": {"steps": 2}},
+        **{"probability": 0.4, "sampling": Sampling(steps=2)},
     )
     prior = load_prior(str(public), tmp_path / "none")
     assert prior.autoencoder.block == 1

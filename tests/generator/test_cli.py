@@ -1,4 +1,4 @@
-"""`geoevs train`, `train-autoencoder` and `train-prior`."""
+"""`geoevs train geo-evs`, `train-autoencoder` and `train-prior`."""
 
 import json
 import sys
@@ -9,24 +9,24 @@ import pytest
 import torch
 
 from geoevs.cli import main as cli
-from geoevs.conditions.artifact_masks import write_artifact_masks
-from geoevs.conditions.pairs import write_pairs
+from geoevs.conditions.artifact_masks import mask_arrays
+from geoevs.conditions.pairs import pair_arrays
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, write_json
+from geoevs.core.files import read_json, write_arrays, write_json
 from geoevs.core.networks import read_network
 from geoevs.core.randomness import Rng
-from geoevs.diffusion import autoencoder as autoencoders
-from geoevs.diffusion import denoiser as denoisers
+from geoevs.diffusion import pretraining
 from geoevs.diffusion.prior import load_prior
+from geoevs.diffusion.sampling import Sampling
 from geoevs.generator.geo_evs.model import Generator
-from geoevs.generator.geo_evs.task import TrainingSettings
+from geoevs.generator.geo_evs.training import Settings
 from geoevs.methods.contract import Budget
 from geoevs.methods.finding import make_method
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.methods.trained import trained_seconds
 
 SETTINGS = asdict(
-    TrainingSettings(
+    Settings(
         prior="nano",
         prediction=None,
         schedule=None,
@@ -41,7 +41,7 @@ SETTINGS = asdict(
         timesteps="uniform",
         masks="reprojected",
         probability=0.4,
-        sampling={"steps": 2, "guidance": 1.5},
+        sampling=Sampling(steps=2, guidance=1.5),
     )
 )
 
@@ -65,16 +65,15 @@ def geoevs(monkeypatch, capsys):
 
 @pytest.fixture
 def train(geoevs, pairs, library, weights, tmp_path):
-    write_pairs(tmp_path / "pairs.npz", pairs)
-    write_artifact_masks(tmp_path / "library.npz", library)
+    write_arrays(tmp_path / "pairs.npz", pair_arrays(pairs))
+    write_arrays(tmp_path / "library.npz", mask_arrays(library))
 
     def run(*arguments, **changed):
         settings = json.dumps(SETTINGS | changed)
-        files = ["--pairs", tmp_path / "pairs.npz", "--library", tmp_path / "library.npz"]
+        files = ["--files", tmp_path / "pairs.npz", "--combined", tmp_path / "library.npz"]
         folders = ["--weights", weights, "--work", tmp_path / "work", "--out", tmp_path / "out"]
-        return geoevs(
-            *("train", *files, *folders, "--settings", settings, "--geometry", "lidar", *arguments)
-        )
+        made_with = ["--settings", settings, "--geometry", "lidar"]
+        return geoevs("train", "geo-evs", *files, *folders, *made_with, *arguments)
 
     return run
 
@@ -94,7 +93,7 @@ def test_training_writes_all_that_renders_need(train, tmp_path):
     assert read_json(out / "settings.json") == {
         "geometry": "lidar",
         "timesteps": SETTINGS["timesteps"],
-        "sampling": {"steps": 2, "guidance": 1.5},
+        "sampling": {"steps": 2, "guidance": 1.5, "sampler": "ddim", "average": 1},
     }
     assert read_json(out / "seconds.json")["geometry"] == 0.0  # nothing says how long it took
     assert (out / "geometry.safetensors").read_bytes() == b"weights"
@@ -127,7 +126,11 @@ def test_the_same_seed_trains_the_same_bytes(train, tmp_path):
 def test_mistakes_are_one_sentence_before_anything_is_trained(train, tmp_path, weights):
     code, error = train(stepps=3)
     assert code == 1
-    assert error.startswith("error: --settings has no option 'stepps'; did you mean 'steps'?")
+    sentence = "the training of 'geo-evs' has no option 'stepps'; did you mean 'steps'?"
+    assert error.startswith(f"error: {sentence}")
+    code, error = train(masks="box")
+    assert code == 1
+    assert "cannot have 'box' for its option 'masks'; did you mean 'boxes'?" in error
     missing = tmp_path / "none"
     sentence = f"error: {missing} is missing; make or copy it there\n"
     assert train("--geometry-weights", missing) == (1, sentence)
@@ -136,9 +139,6 @@ def test_mistakes_are_one_sentence_before_anything_is_trained(train, tmp_path, w
 
 
 def test_a_failed_training_is_written_down_for_the_methods_that_take_it(train, tmp_path, weights):
-    code, error = train(masks="box")
-    assert code == 0
-    assert error.startswith("error: there is no artifact injection 'box'; did you mean 'boxes'?")
     (weights / "prior.safetensors").unlink()
     code, error = train()
     assert code == 0
@@ -162,8 +162,8 @@ def test_a_diverged_training_keeps_its_last_good_weights(train, tmp_path):
 def test_autoencoder_and_prior_are_what_a_training_starts_from(
     geoevs, networks, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(autoencoders, "nano_autoencoder", lambda: networks.network(48))
-    monkeypatch.setattr(denoisers, "nano_unet", networks.unet)
+    monkeypatch.setattr(pretraining, "nano_autoencoder", lambda: networks.network(48))
+    monkeypatch.setattr(pretraining, "nano_unet", networks.unet)
     scene = write_tiny_scene(tmp_path / "scene").folder
     shared = ["--scenes", scene, "--steps", 2, "--batch", 2, "--learning-rate", 1e-3]
     autoencoder, prior = (tmp_path / f"{name}.safetensors" for name in ("autoencoder", "prior"))

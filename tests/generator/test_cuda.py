@@ -5,8 +5,10 @@ import pytest
 import torch
 
 from geoevs.diffusion.process import Diffusion
-from geoevs.generator.geo_evs.model import Generator, Sampling
-from geoevs.generator.geo_evs.task import TrainingSettings, train_geo_evs
+from geoevs.diffusion.sampling import Sampling
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.task import train_geo_evs
+from geoevs.generator.geo_evs.training import Settings
 
 pytestmark = pytest.mark.cuda
 
@@ -30,7 +32,7 @@ def test_a_generator_is_the_cpus_but_for_rounding(networks, pairs, sampler):
 
 
 def test_a_training_learns_there_and_goes_on(networks, pairs, library, weights, tmp_path):
-    settings = TrainingSettings(
+    settings = Settings(
         **{"prior": "nano", "prediction": "sample", "schedule": None, "encoder": "trained"},
         **{"steps": 40, "batch": 4, "learning_rate": 1e-2, "drop": 0.1, "validity": True},
         **{"filled": True, "weighting": "uniform", "timesteps": "sampled", "masks": "reprojected"},

@@ -3,8 +3,9 @@ import pytest
 import torch
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.diffusion.process import PREDICTIONS, SAMPLERS, Diffusion
-from geoevs.generator.geo_evs.model import Generator, Sampling
+from geoevs.diffusion.process import Diffusion
+from geoevs.diffusion.sampling import PREDICTIONS, SAMPLERS, Sampling
+from geoevs.generator.geo_evs.model import Generator
 
 FAST = Sampling(steps=2)
 
@@ -105,10 +106,13 @@ def test_a_generator_comes_back(networks, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"steps": 0}, "sampling has 0 steps; choose from 1 to 1000"),
-        ({"steps": 1001}, "sampling has 1001 steps; choose from 1 to 1000"),
-        ({"average": 0}, "sampling averages 0 samples; choose 1 or more"),
-        ({"sampler": "ddpm"}, r"there is no sampler 'ddpm'; did you mean 'ddim'\?"),
+        ({"steps": 0}, "sampling cannot have 0 for its option 'steps'; choose from 1 to 1000"),
+        ({"steps": 1001}, "sampling cannot have 1001 for its option 'steps'; choose from 1 to"),
+        ({"average": 0}, "sampling cannot have 0 for its option 'average'; make it 1 or more"),
+        (
+            {"sampler": "ddpm"},
+            r"sampling cannot have 'ddpm' for .* did you mean 'ddim'\?",
+        ),
     ],
 )
 def test_wrong_sampling_is_one_sentence(settings, sentence):

@@ -22,13 +22,15 @@ from geoevs.diffusion.pretraining import (
     random_crops,
     read_images,
 )
-from geoevs.diffusion.process import TIMESTEPS, Diffusion
+from geoevs.diffusion.process import Diffusion
+from geoevs.diffusion.sampling import TIMESTEPS, Sampling
 from geoevs.generator.geo_evs import task as module
-from geoevs.generator.geo_evs.model import Generator, Sampling
-from geoevs.generator.geo_evs.task import GeoEvsTask, TrainingSettings, train_geo_evs
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.task import GeoEvsTask, train_geo_evs
+from geoevs.generator.geo_evs.training import Settings
 from geoevs.methods.tiny import HEIGHT, WIDTH, write_tiny_scene
 
-SETTINGS = TrainingSettings(
+SETTINGS = Settings(
     prior="nano",
     prediction=None,
     schedule=None,
@@ -43,7 +45,7 @@ SETTINGS = TrainingSettings(
     timesteps="uniform",
     masks="none",
     probability=0.0,
-    sampling={"steps": 2},
+    sampling=Sampling(steps=2),
 )
 
 
@@ -150,7 +152,7 @@ def test_the_loss_is_the_predictions_squared_error(networks):
 
 @pytest.mark.parametrize("steps", [1, 3])
 def test_timesteps_that_sampling_visits_are_all_that_is_learned(make, monkeypatch, steps):
-    task = make(timesteps="sampled", sampling={"steps": steps}, batch=16)
+    task = make(timesteps="sampled", sampling=Sampling(steps=steps), batch=16)
     learned, visited = set(), []
     noisy = task._diffusion.__class__.noisy
 
@@ -314,19 +316,16 @@ def test_training_starts_from_the_named_prior(pairs, library, weights, tmp_path)
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"encoder": "frosen"}, r"there is no condition encoder 'frosen'; did you mean 'frozen'\?"),
-        ({"weighting": "suport"}, r"there is no weighting 'suport'; did you mean 'support'\?"),
-        (
-            {"timesteps": "sample"},
-            r"there is no draw of timesteps 'sample'; did you mean 'sampled'",
-        ),
-        ({"masks": "box"}, r"there is no artifact injection 'box'; did you mean 'boxes'\?"),
-        ({"sampling": {"steps": 0}}, r"sampling has 0 steps; choose"),
+        ({"encoder": "frosen"}, r"'frosen' for its option 'encoder'; did you mean 'frozen'\?"),
+        ({"weighting": "suport"}, r"'suport' for its option 'weighting'; did you mean 'support'\?"),
+        ({"timesteps": "sample"}, r"'sample' for its option 'timesteps'; did you mean 'sampled'\?"),
+        ({"masks": "box"}, r"'box' for its option 'masks'; did you mean 'boxes'\?"),
+        ({"probability": float("nan")}, r"nan for its option 'probability'; write a number"),
     ],
 )
-def test_wrong_settings_are_one_sentence(make, changed, sentence):
-    with pytest.raises(GeoEvsError, match=f"^{sentence}"):
-        make(**changed)
+def test_wrong_settings_are_one_sentence(changed, sentence):
+    with pytest.raises(GeoEvsError, match=f"^the training of Geo-EVS cannot have {sentence}"):
+        replace(SETTINGS, **changed)
 
 
 def test_images_that_do_not_divide_are_refused(make, pairs, networks):

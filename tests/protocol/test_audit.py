@@ -1,7 +1,6 @@
 """The audit's rows, on the tiny scene whose truth is a closed form."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from geoevs import layout
@@ -40,7 +39,7 @@ def rows(stage, tmp_path_factory):
             truth = dense_truth(stage.store, stage.folder / "truth", target)
             write_image(renders / f"{target.key}.png", truth + 0.1 * (method == "bright"))
     entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
-    return pd.DataFrame(audit_rows(run, "d", "tiny", entries, seed=0))
+    return audit_rows(run, "d", "tiny", entries, seed=0)
 
 
 def test_every_metric_stands_beside_its_twin(rows):

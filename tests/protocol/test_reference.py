@@ -4,9 +4,18 @@ import pytest
 from geoevs.core.errors import GeoEvsError
 from geoevs.methods.contract import Views
 from geoevs.methods.tiny import tiny_camera, tiny_truth, write_tiny_scene
-from geoevs.protocol.condition_masks import RawReprojection
+from geoevs.protocol.condition_masks import (
+    ConditionMasks,
+    RawReprojection,
+    make_condition_masks,
+)
 from geoevs.protocol.records import write_records
-from geoevs.protocol.reference import References, make_references, sparse_reference
+from geoevs.protocol.reference import (
+    References,
+    make_references,
+    sparse_reference,
+    write_references,
+)
 from geoevs.protocol.targets import Target, make_targets
 from geoevs.scenes.scene import PointCloud
 
@@ -120,6 +129,19 @@ def test_references_survive_a_round_trip(scene, tmp_path):
     for key, reference in references.items():
         np.testing.assert_array_equal(read[key].image(), reference.image())
         np.testing.assert_array_equal(read[key].reprojected, reference.reprojected)
+
+
+def test_references_and_masks_are_written_together(scene, tmp_path):
+    targets = make_targets(scene, PROTOCOL, seed=0)
+    write_references(tmp_path / "r.npz", tmp_path / "m.npz", scene, targets, seed=5)
+    reprojection = RawReprojection(scene)
+    references, masks = References(tmp_path / "r.npz"), ConditionMasks(tmp_path / "m.npz")
+    for key, reference in make_references(scene, targets, reprojection, seed=5).items():
+        np.testing.assert_array_equal(references[key].mask(0.5), reference.mask(0.5))
+    masked = make_condition_masks(targets, reprojection)
+    assert set(masked) == {target.key for target in targets if target.masked}
+    for key, mask in masked.items():
+        np.testing.assert_array_equal(masks[key].keep, mask.keep)
 
 
 def test_a_truncated_file_is_named(tmp_path):

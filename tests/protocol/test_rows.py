@@ -41,7 +41,9 @@ def test_the_fingerprint_changes_with_the_cameras(stage, tmp_path):
     assert protocol_fingerprint(fewer, PROTOCOL) != before
 
 
-@pytest.mark.parametrize("constant", ["SSIM_SIGMA", "FOOTPRINT_RADIUS", "FOOTPRINT_TOLERANCE"])
+@pytest.mark.parametrize(
+    "constant", ["PROTOCOL", "SSIM_SIGMA", "FOOTPRINT_RADIUS", "FOOTPRINT_TOLERANCE"]
+)
 def test_the_fingerprint_changes_with_the_rules_of_scoring(stage, monkeypatch, constant):
     before = protocol_fingerprint(stage.store, PROTOCOL)
     monkeypatch.setattr(rows, constant, 99)

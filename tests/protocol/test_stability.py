@@ -1,4 +1,4 @@
-"""Conditions, their isolation, and the pixels that the suite tells apart."""
+"""Stresses, their isolation, and the pixels that the suite tells apart."""
 
 import numpy as np
 import pandas as pd
@@ -12,21 +12,24 @@ from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
+from geoevs.protocol.rows import protocol_fingerprint
 from geoevs.protocol.stability import (
     CLEAN,
-    Condition,
+    Stress,
     clean_settings,
-    conditions,
     groups,
-    render_conditions,
+    levels_of,
+    render_stresses,
     stability_targets,
-    world_name,
+    stresses,
+    world_options,
 )
-from geoevs.protocol.stability_scoring import depth_edges, edge_distance, in_boxes, score_conditions
-from geoevs.protocol.stressors import STRESSORS
+from geoevs.protocol.stability_scoring import depth_edges, edge_distance, in_boxes, score_stresses
+from geoevs.protocol.stressors import STRESSORS, Stressor
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.protocol.truth import write_truth
 from geoevs.scenes.scene import SceneRef
+from geoevs.scenes.store import Scene
 
 LEVELS = {name: [] for name in STRESSORS} | {
     "support": [0.05, 0.01],
@@ -38,15 +41,37 @@ LEVELS = {name: [] for name in STRESSORS} | {
 SETTINGS = {"seeds": 2, "lateral": [1.0], "levels": LEVELS}
 
 
-def test_groups_and_their_conditions():
+def test_groups_and_their_stresses():
     assert groups(SETTINGS) == [CLEAN, "support", "motion"]
-    assert [condition.key for condition in conditions("support", SETTINGS)] == [
-        *("0.05.seed0", "0.05.seed1", "0.01.seed0", "0.01.seed1"),
+    assert [stress.key for stress in stresses("support", SETTINGS)] == [
+        "0.05.seed0",
+        "0.05.seed1",
+        "0.01.seed0",
+        "0.01.seed1",
     ]
-    assert [condition.key for condition in conditions("motion", SETTINGS)] == [
-        *("0.seed0", "0.seed1", "5.seed0", "5.seed1"),
+    assert [stress.key for stress in stresses("motion", SETTINGS)] == [
+        "0.seed0",
+        "0.seed1",
+        "5.seed0",
+        "5.seed1",
     ]
-    assert [condition.draw for condition in conditions(CLEAN, SETTINGS)] == [0, 1]
+    assert [stress.draw for stress in stresses(CLEAN, SETTINGS)] == [0, 1]
+
+
+def test_a_stressor_that_is_left_out_has_its_own_levels():
+    silent = {**SETTINGS, "levels": {"support": [0.02], "motion": []}}
+    assert levels_of("support", silent) == [0.02]
+    assert levels_of("cameras", silent) == [1, 2, 3, 4]
+    assert groups(silent) == [
+        CLEAN,
+        "support",
+        "beams",
+        "rotation",
+        "translation",
+        "cameras",
+        "exposure",
+    ]
+    assert clean_settings(silent, "tiny")["levels"]["lateral"] == [0, 1, 2, 3, 4]
 
 
 def test_poses_lie_where_they_say(stage):
@@ -62,7 +87,9 @@ def test_poses_lie_where_they_say(stage):
         elif target.split == "yaw":
             assert target.pose_offset == pytest.approx(float(target.camera.name[-5:-3].strip("-")))
     assert len({target.key for target in targets}) == len(targets)
-    other = stability_targets(stage.store, clean_settings(SETTINGS, world_name("tiny", 5)))
+    other = stability_targets(
+        stage.store, clean_settings(SETTINGS, Stress("motion", 5).world("tiny"))
+    )
     assert {target.split for target in other} == {"extrapolation"}
 
 
@@ -86,32 +113,31 @@ def render(folder, method, group, scenes):
     renders = folder / layout.STABILITY_RENDERS.format(group=group, label=method, **place)
     targets, masks = (folder / p.format(**place) for p in (layout.TARGETS, layout.MASKS))
     entry = MethodEntry(method)
-    pairs = list(zip(conditions(group, SETTINGS), scenes, strict=True))
-    render_conditions(entry, pairs, targets, masks, renders, folder / "method.log")
+    pairs = list(zip(stresses(group, SETTINGS), scenes, strict=True))
+    render_stresses(entry, pairs, targets, masks, renders, folder / "method.log")
     return renders
 
 
-def test_one_failing_condition_does_not_end_the_others(folder, toy):
+def test_one_failing_stress_does_not_end_the_others(folder, toy):
     method = toy("picky", fit="assert len(views.lidar(0)) > 0", render="pass")
     scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
     # It declares no LiDAR, so that reading it fails; without the scene everything fails.
     renders = render(folder, method, "support", [scene, folder / "nowhere", scene, scene])
-    endings = [read_json(renders / c.key / "outcome.json") for c in conditions("support", SETTINGS)]
+    endings = [read_json(renders / s.key / "outcome.json") for s in stresses("support", SETTINGS)]
     assert {ending["status"] for ending in endings} == {"failed"}
     assert "without declaring it" in endings[0]["reason"]
     assert "nowhere" in endings[1]["reason"]
-    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
-    rows = score_conditions(MethodEntry(method), "support", folder, "tiny", SETTINGS, common)
-    assert {row["status"] for row in rows} == {"failed"}
-    assert {row["level"] for row in rows} == {0.05, 0.01}
+    rows = score_stresses(MethodEntry(method), "support", folder, "d", "tiny", SETTINGS)
+    assert set(rows["status"]) == {"failed"}
+    assert set(rows["level"]) == {0.05, 0.01}
 
 
 def test_a_process_that_dies_fails_what_it_had_not_done(folder, toy):
     method = toy("dies", render="if camera.name.startswith('extrapolation-right'): os._exit(3)")
     scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
     renders = render(folder, method, "support", [scene] * 4)
-    for condition in conditions("support", SETTINGS):
-        outcome = read_json(renders / condition.key / "outcome.json")
+    for stress in stresses("support", SETTINGS):
+        outcome = read_json(renders / stress.key / "outcome.json")
         assert outcome["status"] == "failed"
         assert "exit code 3" in outcome["reason"]
 
@@ -129,9 +155,9 @@ def test_a_fit_without_randomness_stands_for_all_draws_of_its_scene(
     other = write_tiny_scene(tmp_path / "other").folder
     renders = render(folder, method, "motion", [world, world, other, other])
     assert done.read_text() == "fit view view " * fits  # nothing is timed: no view twice
-    for condition in conditions("motion", SETTINGS):
-        assert read_json(renders / condition.key / "outcome.json")["status"] == "ok"
-        assert len(list((renders / condition.key).rglob("*.png"))) == 2
+    for stress in stresses("motion", SETTINGS):
+        assert read_json(renders / stress.key / "outcome.json")["status"] == "ok"
+        assert len(list((renders / stress.key).rglob("*.png"))) == 2
 
 
 def test_clean_renders_score_poses_edges_and_spread(folder, toy):
@@ -141,11 +167,8 @@ def test_clean_renders_score_poses_edges_and_spread(folder, toy):
     # Another draw gives other pictures.
     for target in read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny")):
         picture = np.full((48, 72, 3), 0.5 + 0.1, np.float32)
-        write_image(renders / Condition(CLEAN, draw=1).key / f"{target.key}.png", picture)
-    common = {"dataset": "d", "scene": "tiny", "fingerprint": "f"}
-    rows = pd.DataFrame(
-        score_conditions(MethodEntry(method), CLEAN, folder, "tiny", SETTINGS, common)
-    )
+        write_image(renders / Stress(CLEAN, draw=1).key / f"{target.key}.png", picture)
+    rows = score_stresses(MethodEntry(method), CLEAN, folder, "d", "tiny", SETTINGS)
     assert set(rows["stressor"]) == {CLEAN, "lateral", "yaw", "edges"}
     assert set(rows[rows["stressor"] == "yaw"]["level"]) == {0.0, 45.0}
     edges = rows[rows["stressor"] == "edges"].groupby("level")["valid_pixels"].sum()
@@ -154,6 +177,54 @@ def test_clean_renders_score_poses_edges_and_spread(folder, toy):
     assert len(spread) == 2
     # 128 and 153 of 255: the standard deviation of two draws is their distance over root 2.
     assert spread.to_list() == pytest.approx([25 / 255 / np.sqrt(2)] * 2)
+
+
+def made_world(folder, name):
+    """Give the run the tiny scene again, as another world of it."""
+    patterns = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.MASKS, layout.TRUTH)
+    for pattern in patterns:
+        clean, world = (folder / pattern.format(dataset="d", scene=s) for s in ("tiny", name))
+        world.symlink_to(clean)
+    return folder / layout.SCENE.format(dataset="d", scene=name)
+
+
+def test_the_metrics_of_motion_tell_moving_cars_apart(folder, toy):
+    method = toy("mover")
+    worlds = [made_world(folder, f"tiny~traffic_speed={speed}") for speed in (0, 5)]
+    render(folder, method, "motion", [world for world in worlds for _ in range(2)])
+    rows = score_stresses(MethodEntry(method), "motion", folder, "d", "tiny", SETTINGS)
+    assert list(dict.fromkeys(rows["metric"])) == ["psnr", "psnr_moving", "psnr_still"]
+    assert set(rows["level"]) == {0.0, 5.0}
+    assert set(rows["split"]) == {"extrapolation"}
+
+
+def test_a_stressor_of_another_world_is_added_in_one_place(folder, toy, monkeypatch):
+    grain = Stressor("rays of a pixel", kind="world", levels=(8, 2), falling=True, option="samples")
+    monkeypatch.setitem(STRESSORS, "grain", grain)
+    assert groups(SETTINGS) == [CLEAN, "support", "motion", "grain"]
+    assert world_options(Stress("grain", 2).world("tiny")) == ("tiny", {"samples": 2})
+    method = toy("grainy")
+    worlds = [made_world(folder, f"tiny~samples={samples}") for samples in (8, 2)]
+    render(folder, method, "grain", [world for world in worlds for _ in range(2)])
+    rows = score_stresses(MethodEntry(method), "grain", folder, "d", "tiny", SETTINGS)
+    assert set(rows["stressor"]) == {"grain"}
+    assert set(rows["level"]) == {8.0, 2.0}
+    # Boxes of moving cars are asked for by `motion` alone.
+    assert set(rows["metric"]) == {"sparse_psnr", "psnr", "psnr_supported", "psnr_new"}
+
+
+def test_the_fingerprint_is_of_the_scene_and_the_shifts_of_its_targets(folder, toy):
+    method, entry = toy("printed"), MethodEntry("printed")
+    scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
+    render(folder, method, "support", [scene] * 4)
+    (fingerprint,) = set(
+        score_stresses(entry, "support", folder, "d", "tiny", SETTINGS)["fingerprint"]
+    )
+    assert fingerprint == protocol_fingerprint(Scene(scene), {"lateral": [1.0]})
+    harder = {**SETTINGS, "seeds": 1, "levels": LEVELS | {"support": [0.05], "yaw": [10]}}
+    assert set(score_stresses(entry, "support", folder, "d", "tiny", harder)["fingerprint"]) == {
+        fingerprint
+    }
 
 
 def test_a_plane_at_a_grazing_angle_has_no_edge():

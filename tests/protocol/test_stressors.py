@@ -7,7 +7,8 @@ import pytest
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.projection import zbuffer
-from geoevs.protocol.stressors import CHANGES, STRESSORS, write_stressed
+from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.stressors import STRESSORS, write_stressed
 from geoevs.scenes.camera import angle_between
 from geoevs.scenes.store import Scene
 
@@ -49,9 +50,19 @@ def linear(image):
     return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
 
 
-def test_every_store_stressor_has_a_change():
-    assert list(CHANGES) == [name for name, made in STRESSORS.items() if made.acts_on == "store"]
-    assert set(HARD) == set(CHANGES)
+def test_stressors_have_what_their_kind_needs():
+    stores = [name for name, stressor in STRESSORS.items() if stressor.kind == "store"]
+    assert stores == list(HARD)
+    for stressor in STRESSORS.values():
+        assert stressor.kind in ("store", "world", "targets", "pixels")
+        assert (stressor.change is not None) == (stressor.kind == "store")
+        assert (stressor.option != "") == (stressor.kind == "world")
+        assert set(stressor.metrics) <= set(METRICS)
+
+
+def test_levels_get_harder():
+    for stressor in STRESSORS.values():
+        assert list(stressor.levels) == sorted(set(stressor.levels), reverse=stressor.falling)
 
 
 @pytest.mark.parametrize("stressor", HARD)

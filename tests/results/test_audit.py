@@ -7,7 +7,7 @@ import pytest
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS
 from geoevs.results.audit import agreement, audit_tables, conditioning_gain
 from geoevs.results.audit_chart import agreement_chart, support_chart
-from geoevs.results.audit_page import audit_markdown
+from geoevs.results.audit_page import audit_markdown, write_audit
 from geoevs.results.chart_pages import page_png
 from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
@@ -146,3 +146,21 @@ def test_charts_are_drawn(rows):
     tables = audit_tables(rows, SETTINGS, ENTRANTS)
     assert page_png(agreement_chart(tables["agreement"]).to_dict()).startswith(b"\x89PNG")
     assert page_png(support_chart(tables["support_bias"]).to_dict()).startswith(b"\x89PNG")
+
+
+def test_the_suite_is_its_tables_two_charts_and_a_page(rows, tmp_path):
+    write_audit(tmp_path, rows, SETTINGS, ENTRANTS)
+    tables = audit_tables(rows, SETTINGS, ENTRANTS)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *(f"{name}.csv" for name in tables),
+        "agreement.png",
+        "agreement.html",
+        "support_bias.png",
+        "support_bias.html",
+        "audit.md",
+    }
+    for name, table in tables.items():
+        assert (tmp_path / f"{name}.csv").read_text() == table.to_csv(index=False)
+    assert (tmp_path / "audit.md").read_text() == audit_markdown(tables)
+    assert "bias of support" in (tmp_path / "support_bias.html").read_text()
+    assert "tau" in (tmp_path / "agreement.html").read_text()

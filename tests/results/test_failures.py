@@ -8,7 +8,7 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_bytes
 from geoevs.protocol.rows import COST_TYPES, cost_frame
-from geoevs.results.failures import fit_failures, run_failures, stress_failures
+from geoevs.results.failures import fit_failures, known_failures, run_failures, stress_failures
 
 ENDING = {"status": "failed", "stage": "fit", "reason": "no points", "log": "logs/a.log"}
 
@@ -43,7 +43,7 @@ def test_a_failed_fit_says_from_what():
     assert (failure.reason, failure.log, failure.stressed) == ("no points", "logs/a.log", False)
 
 
-def test_conditions_that_ended_the_same_way_are_one_failure(stressed):
+def test_stresses_that_ended_the_same_way_are_one_failure(stressed):
     first, second = stress_failures(stressed)
     assert first.place == "d/s, stressed by support 0.05, 0.01; yaw 30 (draws 0, 1)"
     assert second.place == "d/s, stressed by yaw 45 (draws 2)"
@@ -59,3 +59,14 @@ def test_a_run_has_those_of_both(stressed, tmp_path):
     assert [failure.stressed for failure in run_failures(tmp_path)] == [False]
     write_bytes(tmp_path / layout.STABILITY_SCORES, stressed.to_parquet(index=False))
     assert [failure.stressed for failure in run_failures(tmp_path)] == [False, True, True]
+
+
+def test_before_there_are_rows_there_are_no_failures(stressed, tmp_path):
+    costs, stability = tmp_path / "costs.parquet", tmp_path / "stability.parquet"
+    assert known_failures(costs, stability) == []
+    write_bytes(stability, stressed.to_parquet(index=False))
+    first, _ = known_failures(costs, stability)
+    assert str(first) == (
+        "mine (default) could not fit d/s, stressed by support 0.05, 0.01; yaw 30 (draws 0, 1): "
+        "no points; log: logs/a.log"
+    )

@@ -4,12 +4,14 @@ import platform
 import numpy as np
 import pytest
 
+from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.results import manifest
 from geoevs.results.manifest import (
     add_provenance,
     cached_repository,
     hash_path,
+    install_weights,
     make_manifest,
 )
 
@@ -28,6 +30,7 @@ def test_it_says_what_the_run_was_made_of(folder):
     made = make_manifest(CONFIG, [folder, folder / "a"])
     assert made["config"] == CONFIG
     assert made["seed"] == 3
+    assert made["protocol"] == PROTOCOL
     assert list(made["inputs"]) == [str(folder), str(folder / "a")]
     # printf bc | sha256sum
     assert made["inputs"][str(folder / "a")].startswith("1e0bbd6c686ba050")
@@ -108,3 +111,26 @@ def test_provenance_is_kept_of_weights_that_are_not_replaced():
     assert first == new
     assert second == {"seed": 0, "files": {"a": "1"}, "trainings": {"of-a": {}}}
     assert add_provenance(old, [first, second]) == [old]
+
+
+def test_installed_weights_stand_with_what_they_were_made_of(tmp_path):
+    new, old, work = tmp_path / "new", tmp_path / "weights", tmp_path / "work"
+    for path, text in ((new / "prior", "2"), (old / "prior", "1"), (old / "kept", "1")):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    work.mkdir()
+    (work / "losses.csv").write_text("step,loss\n1,9.0\n2,0.25\n")
+    earlier = {"files": {"prior": "a", "kept": "b"}, "trainings": {"prior": {}, "kept": {}}}
+    (old / "provenance.json").write_text(json.dumps([earlier]))
+    config = {"seed": 3, "resolution": [8, 8], "datasets": {}, "pretrain": {"prior": {"steps": 2}}}
+    record = install_weights(old, [new / "prior"], {"prior": work}, config)
+    assert {path.name: path.read_text() for path in old.iterdir() if path.suffix == ""} == {
+        "prior": "2",
+        "kept": "1",
+    }
+    assert record["files"] == {"prior": hash_path(new / "prior")}
+    assert record["trainings"] == {"prior": {"settings": {"steps": 2}, "losses": {"loss": 0.25}}}
+    assert json.loads((old / "provenance.json").read_text()) == [
+        record,
+        {"files": {"kept": "b"}, "trainings": {"kept": {}}},
+    ]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from geoevs.protocol.stressors import STRESSORS, Stressor
 from geoevs.results.chart_pages import page_html
 from geoevs.results.entrants import Entrants, Info
 from geoevs.results.settings import TableSettings
@@ -80,6 +81,20 @@ def test_every_world_has_a_floor_of_its_own(rows):
     rates = table[table["method"] == "mine"].groupby("stressor")["failure_rate"].agg(list)
     assert rates["support"] == [0, 0, 0, 1]  # below 10 dB
     assert rates["motion"] == [0, 1]  # below 14, below 18
+
+
+def test_worlds_of_two_stressors_at_one_level_are_two(rows, monkeypatch):
+    grain = Stressor("rays of a pixel", kind="world", levels=(20,), option="samples")
+    monkeypatch.setitem(STRESSORS, "grain", grain)
+    made = rows(
+        *curve("mean-colour", None, [18.0], stressor="motion", levels=[20]),
+        *curve("mean-colour", None, [8.0], stressor="grain", levels=[20]),
+        *curve("mine", None, [17.0], stressor="motion", levels=[20]),
+        *curve("mine", None, [9.0], stressor="grain", levels=[20]),
+    )
+    table = make_stability_table(made, *GIVEN)
+    rates = table[table["method"] == "mine"].set_index("stressor")["failure_rate"]
+    assert rates.to_dict() == {"motion": 1, "grain": 0}
 
 
 def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):

@@ -297,7 +297,7 @@ def test_the_folder_may_hold_an_environment_variable(pandaset, monkeypatch):
         else:
             monkeypatch.setenv("GEOEVS_PANDASET", missing)
         with pytest.raises(GeoEvsError, match="set GEOEVS_PANDASET to the folder that holds"):
-            Source(16, 24, folder="$GEOEVS_PANDASET")
+            read_all("$GEOEVS_PANDASET")
 
     monkeypatch.setenv("GEOEVS_PANDASET", str(pandaset))
     assert len(read_all("$GEOEVS_PANDASET")[1]) == 2

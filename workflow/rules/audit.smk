@@ -52,6 +52,8 @@ rule audit_rows:
         in_run(layout.AUDIT_ROWS),
     log:
         in_run("logs/audit-rows.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
@@ -67,7 +69,7 @@ rule audit_page:
     params:
         settings=json.dumps(config["tables"]),
         folder=lambda wildcards, output: Path(output[0]).parent,
-        code=code_hash("geoevs.results.audit_page", "geoevs.results.audit_chart"),
+        code=code_hash("geoevs.results.audit_page"),
     shell:
         "geoevs --log {log:q} audit-page --rows {input.rows:q} --settings {params.settings:q}"
         " --entrants {input.entrants:q} --out {params.folder:q}"

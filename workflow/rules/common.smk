@@ -6,25 +6,22 @@ from functools import cache
 from pathlib import Path
 
 from geoevs import layout
-from geoevs.methods.finding import find_methods
 from geoevs.core.code_hash import code_hash
-from geoevs.config.checks import (
-    FREEVS,
-    SUITE_MODEL,
-    check_config,
-    method_entries,
-    partition_scenes,
-    stability_entries,
-    training_settings,
-)
+from geoevs.config.checks import SUITE_MODEL, check_config
+from geoevs.config.entrants import method_entries, stability_entries
+from geoevs.config.partitions import partition_scenes
+from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.settings import make_settings
+from geoevs.methods.finding import find_methods, find_trainings, training_class
+from geoevs.methods.training import CombinedTraining
 from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
-    conditions,
     groups,
-    world_name,
+    levels_of,
+    stresses,
     world_options,
 )
 from geoevs.protocol.stressors import STRESSORS
@@ -54,8 +51,6 @@ HEIGHT, WIDTH = config["resolution"]
 PROTOCOL = json.dumps(config["protocol"])
 ENTRIES = {entry.label: entry for entry in method_entries(config)}
 TEST_SCENES = partition_scenes(config, "test", config["evaluate"])
-TRAINING_SCENES = partition_scenes(config, "train", config["datasets"])
-CLIP_SCENES = partition_scenes(config, "clips", config["datasets"])
 GEOMETRY_SCENES = partition_scenes(config, "geometry", config["datasets"])
 STABILITY_SCENES = partition_scenes(config, "test", config["stability"]["datasets"])
 PRETRAINING_SCENES = partition_scenes(config, "pretrain", config["datasets"])
@@ -66,6 +61,7 @@ wildcard_constraints:
     scene="[^/]+",
     label="[^/]+",
     table="|".join(TABLES),
+    trainer="[^/]+",
     training="[^/.]+",
     seed="[0-9]+",
 
@@ -170,15 +166,14 @@ def scene_arguments(wildcards):
     )
 
 
-def source_code(wildcards):
-    """Hash of the data source that a scene comes from, and of how scenes are stored."""
-    source = config["datasets"][wildcards.dataset]["source"]
-    return code_hash(
-        find_sources()[source],
-        "geoevs.projection",
-        "geoevs.scenes.store",
-        "geoevs.scenes.depths",
-    )
+def source_code(module):
+    """A function for `params`: hash of a scene's data source, and of the module that asks it."""
+
+    def of(wildcards):
+        source = config["datasets"][wildcards.dataset]["source"]
+        return code_hash(find_sources()[source], module)
+
+    return of
 
 
 def method_code(step):
@@ -230,10 +225,12 @@ def trained(wildcards):
     entry = ENTRIES[wildcards.label]
     if not entry.training:
         return []
-    return [in_run(layout.TRAINED).format(training=entry.training, seed=entry.seed)]
+    trainer, _, training = entry.training.partition("/")
+    path = in_run(layout.TRAINED)
+    return [path.format(trainer=trainer, training=training, seed=entry.seed)]
 
 
-# What Geo-EVS starts from, which are no output that tables need.
+# What trainings start from, which are no output that tables need.
 PRIOR_FILES = [
     f"{config['weights']}/{name}.safetensors" for name in ("autoencoder", "prior")
 ]

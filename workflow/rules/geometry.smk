@@ -83,5 +83,7 @@ rule depth_scores:
         in_run(layout.DEPTH_SCORES),
     log:
         in_run("logs/depth-scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"

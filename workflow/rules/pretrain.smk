@@ -103,6 +103,7 @@ rule install_weights:
         ),
         weights=config["weights"],
         config=json.dumps(config),
+        code=code_hash("geoevs.results.manifest"),
     shell:
         "geoevs --log {log:q} install-weights {input:q} {params.work}"
         " --config {params.config:q} --weights {params.weights:q} --out {output:q}"

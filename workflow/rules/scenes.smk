@@ -11,7 +11,7 @@ rule scene:
         in_run("benchmarks/scene/{dataset}/{scene}.tsv")
     params:
         scene=scene_arguments,
-        code=source_code,
+        code=source_code("geoevs.projection.coloured_scenes"),
     shell:
         "geoevs --log {log:q} scene {params.scene} --out {output.scene:q}"
         " --depths {output.depths:q}"
@@ -28,6 +28,6 @@ rule truth:
         in_run("benchmarks/truth/{dataset}/{scene}.tsv")
     params:
         scene=scene_arguments,
-        code=source_code,
+        code=source_code("geoevs.protocol.truth"),
     shell:
         "geoevs --log {log:q} truth {params.scene} --targets {input.targets:q} --out {output:q}"

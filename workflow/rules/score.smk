@@ -35,6 +35,8 @@ rule scores:
         in_run(layout.SCORES),
     log:
         in_run("logs/scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
@@ -46,6 +48,8 @@ rule costs:
         in_run(layout.COSTS),
     log:
         in_run("logs/costs.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 
@@ -86,6 +90,8 @@ rule set_scores:
         in_run(layout.SET_SCORES),
     log:
         in_run("logs/set_scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 

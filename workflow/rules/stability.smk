@@ -78,7 +78,7 @@ rule stability_score:
     params:
         entry=stability_arguments,
         run=lambda wildcards, output: RUN,
-        code=code_hash("geoevs.protocol.stability_scoring", "geoevs.protocol.rows"),
+        code=code_hash("geoevs.protocol.stability_scoring"),
     shell:
         "geoevs --log {log:q} stability-score --run {params.run:q}"
         " --dataset {wildcards.dataset:q} --scene {wildcards.scene:q} {params.entry}"
@@ -102,6 +102,8 @@ rule stability_scores:
         in_run(layout.STABILITY_SCORES),
     log:
         in_run("logs/stability-scores.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
     shell:
         "geoevs --log {log:q} collect {input:q} --out {output:q}"
 

@@ -1,4 +1,4 @@
-# What stability's rules expand over, and how they tell commands which conditions to make.
+# What stability's rules expand over, and how they tell commands which stresses to make.
 
 STABILITY = config["stability"]
 STABILITY_GROUPS = groups(STABILITY)
@@ -13,36 +13,29 @@ STABILITY_FILES = [
         layout.SEED_SPREAD,
     )
 ]
-STABILITY_CURVES = [name for name in STRESSORS if STABILITY["levels"][name]]
+STABILITY_CURVES = [name for name in STRESSORS if levels_of(name, STABILITY)]
 
 
 def given_scenes(wildcards):
-    """The stores that methods are given under the conditions of a group, in their order."""
-    scenes = []
-    for condition in conditions(wildcards.group, STABILITY):
-        pattern, scene = layout.STRESSED, wildcards.scene
-        if wildcards.group == CLEAN:
-            pattern = layout.SCENE
-        elif STRESSORS[wildcards.group].acts_on == "world":
-            pattern, scene = layout.SCENE, world_name(scene, condition.level)
-        level = f"{condition.level:g}"
-        place = {"dataset": wildcards.dataset, "scene": scene, "level": level}
-        scenes.append(
-            in_run(pattern).format(
-                stressor=wildcards.group, draw=condition.draw, **place
-            )
+    """The stores that methods are given under the stresses of a group, in their order."""
+    return [
+        in_run(layout.STRESSED if stress.kind == "store" else layout.SCENE).format(
+            dataset=wildcards.dataset,
+            scene=stress.world(wildcards.scene),
+            stressor=stress.stressor,
+            level=f"{stress.level:g}",
+            draw=stress.draw,
         )
-    return scenes
+        for stress in stresses(wildcards.group, STABILITY)
+    ]
 
 
 def stability_answers(wildcards):
     """The clean scene's answers; where each level is another world, those of all levels."""
-    scenes = [wildcards.scene]
-    if wildcards.group != CLEAN and STRESSORS[wildcards.group].acts_on == "world":
-        scenes += [
-            world_name(wildcards.scene, level)
-            for level in STABILITY["levels"][wildcards.group]
-        ]
+    worlds = [
+        stress.world(wildcards.scene) for stress in stresses(wildcards.group, STABILITY)
+    ]
+    scenes = list(dict.fromkeys([wildcards.scene, *worlds]))
     patterns = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.TRUTH)
     return [
         in_run(pattern).format(dataset=wildcards.dataset, scene=scene)
@@ -62,11 +55,9 @@ def stability_arguments(wildcards):
 
 def group_settings(wildcards):
     """What a group's jobs depend on: seeds, and its own levels."""
-    levels = dict(STABILITY["levels"])
-    if wildcards.group != CLEAN:
-        levels = {wildcards.group: levels[wildcards.group]}
+    stressors = STRESSORS if wildcards.group == CLEAN else [wildcards.group]
     return {
         "seeds": STABILITY["seeds"],
         "lateral": STABILITY["lateral"],
-        "levels": levels,
+        "levels": {name: levels_of(name, STABILITY) for name in stressors},
     }

@@ -40,7 +40,7 @@ rule table:
     params:
         settings=json.dumps(config["tables"]),
         stem=in_run(layout.TABLE),
-        code=code_hash("geoevs.results.tables", "geoevs.results.formats"),
+        code=code_hash("geoevs.results.formats"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
         " --sets {input.sets:q} --settings {params.settings:q} --entrants {input.entrants:q}"

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import OneOf, check_fields
 from geoevs.geometry.blending import BlendedViews
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.lifted import LiftedViews
@@ -16,6 +16,7 @@ from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Vi
 from geoevs.scenes.camera import Camera
 
 FRAMES = {"own": LiftedViews, "all": BlendedViews}
+Frames = Annotated[str, OneOf(FRAMES)]
 
 
 @dataclass
@@ -28,13 +29,11 @@ class Method:
     """
 
     info = MethodInfo("Reprojection", paradigm="control", needs=("lidar",))  # `all`: tracks too
-    frames: str = "own"
+    frames: Frames = "own"
     _lifted: LiftedViews = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.frames not in FRAMES:
-            hint = did_you_mean(self.frames, FRAMES)
-            raise GeoEvsError(f"the option 'frames' is '{self.frames}'; {hint}")
+        check_fields(f"method '{self.info.name}'", self)
         if self.frames == "all":
             self.info = replace(self.info, needs=(*self.info.needs, "tracks"))
 

@@ -7,15 +7,16 @@ a fiftieth of the time, 7 ms against 360 ms a view; see benchmarks/README.md.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 
+from baselines.controls.reproject.adapter import Frames
 from baselines.controls.reproject.adapter import Method as Reprojection
-from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, to_uint8, write_json
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import OneOf, check_fields
 from geoevs.methods.contract import Budget, FitReport, Rendering, Views
 from geoevs.scenes.camera import Camera
 
@@ -39,14 +40,12 @@ class Method:
     """
 
     info = replace(Reprojection.info, name="Reprojection + inpainting")
-    inpaint: str = "telea"
-    frames: str = "own"
+    inpaint: Annotated[str, OneOf(INPAINTINGS)] = "telea"
+    frames: Frames = "own"
     _reprojection: Reprojection = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.inpaint not in INPAINTINGS:
-            hint = did_you_mean(self.inpaint, INPAINTINGS)
-            raise GeoEvsError(f"there is no inpainting '{self.inpaint}'; {hint}")
+        check_fields(f"method '{self.info.name}'", self)
         self._reprojection = Reprojection(self.frames)
         self.info = replace(self.info, needs=self._reprojection.info.needs)
 

@@ -10,15 +10,23 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
+from geoevs.core.settings import Count
+from geoevs.diffusion.sampling import Guidance, Sampler, Sampling, Steps
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
-from geoevs.methods.trained import asked_options, link_trained, read_trained, trained_seconds
+from geoevs.methods.trained import (
+    GEOMETRY_FILE,
+    asked_options,
+    link_trained,
+    read_trained,
+    trained_seconds,
+)
 from geoevs.projection import Raster
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
-    from geoevs.generator.geo_evs.model import Generator, Sampling
+    from geoevs.generator.geo_evs.model import Generator
 
 # torch is imported where networks are made: configs are checked without one.
 
@@ -30,7 +38,7 @@ class Method:
     """The paper's method, faithfully: every pixel is generated.
 
     Args:
-        weights: what `geoevs train` wrote.
+        weights: what `geoevs train geo-evs` wrote.
         steps, guidance, sampler, average: see `Sampling`; None takes what it was trained for.
     """
 
@@ -43,19 +51,19 @@ class Method:
     )
     lifting: ClassVar[type[LiftedViews]] = LiftedViews
     weights: str
-    steps: int | None = None
-    guidance: float | None = None
-    sampler: str | None = None
-    average: int | None = None
+    steps: Steps | None = None
+    guidance: Guidance | None = None
+    sampler: Sampler | None = None
+    average: Count | None = None
     _lifted: LiftedViews = field(init=False)
     _generator: "Generator" = field(init=False)
-    _sampling: "Sampling" = field(init=False)
+    _sampling: Sampling = field(init=False)
     _seed: int = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Estimate the depth of every source view; the networks were trained before."""
         settings, folder = self._load_trained(), Path(self.weights)
-        geometry = folder / "geometry.safetensors"
+        geometry = folder / GEOMETRY_FILE
         model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
         self._lifted = self.lifting.make(views, model)
         self._seed = int(rng.numpy.integers(2**31))
@@ -107,7 +115,7 @@ class Method:
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample; the settings of their training."""
-        from geoevs.generator.geo_evs.model import Generator, Sampling
+        from geoevs.generator.geo_evs.model import Generator
 
         settings = read_trained(Path(self.weights))
         asked = asked_options(self, SAMPLING_OPTIONS)
@@ -117,7 +125,7 @@ class Method:
             self._check_timesteps(Sampling(**settings["sampling"]))
         return settings
 
-    def _check_timesteps(self, trained: "Sampling") -> None:
+    def _check_timesteps(self, trained: Sampling) -> None:
         """At timesteps that no training visited, the network's answers mean nothing."""
         asked = self._sampling
         learned, visited = (

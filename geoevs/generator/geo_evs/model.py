@@ -7,7 +7,6 @@ from typing import Self
 import numpy as np
 import torch
 
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.networks import best_device, mixed_precision
 from geoevs.diffusion.autoencoder import Autoencoder, to_arrays, to_conditions
 from geoevs.diffusion.denoiser import Denoiser
@@ -18,36 +17,10 @@ from geoevs.diffusion.prior import (
     save_autoencoder,
     save_denoiser,
 )
-from geoevs.diffusion.process import TIMESTEPS, Diffusion, check_sampler, guided
+from geoevs.diffusion.process import Diffusion, guided
+from geoevs.diffusion.sampling import Sampling
 
 DENOISER_FILE = "denoiser.safetensors"
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How an image is sampled (paper section 4.1).
-
-    Args:
-        steps: T, denoising steps.
-        guidance: s_cfg.
-        sampler: one of `diffusion.SAMPLERS`.
-        average: samples whose mean is shown; the mean of several is nearer to the truth than any.
-
-    Raises:
-        GeoEvsError: a number is out of range, or there is no such sampler.
-    """
-
-    steps: int = 30
-    guidance: float = 1.5
-    sampler: str = "ddim"
-    average: int = 1
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.steps <= TIMESTEPS:
-            raise GeoEvsError(f"sampling has {self.steps} steps; choose from 1 to {TIMESTEPS}")
-        if self.average < 1:
-            raise GeoEvsError(f"sampling averages {self.average} samples; choose 1 or more")
-        check_sampler(self.sampler)
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""Training Geo-EVS: denoise targets from artifact-injected condition maps (sections 3.3, 3.4)."""
+"""Training Geo-EVS: denoise targets from artifact-injected conditions (sections 3.3, 3.4)."""
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor, nn
 from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.conditions.injection import ArtifactInjection
 from geoevs.conditions.pairs import Pairs
-from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.networks import best_device, mixed_precision, seeded
 from geoevs.core.optimising import Optimisation, fingerprint, optimise
 from geoevs.core.randomness import Rng
@@ -22,54 +20,13 @@ from geoevs.diffusion.condition_encoder import ConditionEncoder, FrozenEncoder
 from geoevs.diffusion.denoiser import Denoiser, conditioned
 from geoevs.diffusion.latents import denoising_losses, encode_images, encode_in_parts
 from geoevs.diffusion.prior import Prior, load_prior
-from geoevs.diffusion.process import TIMESTEPS
-from geoevs.generator.geo_evs.model import Generator, Sampling
-
-CONDITION_ENCODERS = ("trained", "frozen")
-WEIGHTINGS = ("uniform", "support")
-TIMESTEP_DRAWS = ("uniform", "sampled")
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """One training of Geo-EVS, as the config's `training` section names it.
-
-    Args:
-        prior: the weights to start from (see `load_prior`).
-        prediction, schedule: of the diffusion process; None keeps the prior's.
-        timesteps: the ones to learn, `uniform` (all) or `sampled`, those that `sampling` visits: a
-            training for few steps spends nothing on others, and sampling that visits more is then
-            refused.
-        steps, batch, learning_rate: of the optimiser; AdamW's peak rate (the paper's is 1e-4).
-        drop: share of conditions replaced by the null condition.
-        encoder: E_geo, `trained` or `frozen`.
-        validity: whether the trained encoder sees the validity mask beside X.
-        filled: whether it starts from X with its holes filled, or black.
-        weighting: per-sample weights w_i, `uniform` (1) or `support`, the condition's support ratio
-            over the training pairs' mean.
-        masks: kind of artifact injection, and `probability` its p (see `ArtifactInjection`).
-        sampling: fields of Sampling, what renders use unless they ask for another.
-    """
-
-    prior: str
-    prediction: str | None
-    schedule: str | None
-    timesteps: str
-    steps: int
-    batch: int
-    learning_rate: float
-    drop: float
-    encoder: str
-    validity: bool
-    filled: bool
-    weighting: str
-    masks: str
-    probability: float
-    sampling: dict[str, Any]
+from geoevs.diffusion.sampling import TIMESTEPS
+from geoevs.generator.geo_evs.model import Generator
+from geoevs.generator.geo_evs.training import Settings
 
 
 def train_geo_evs(
-    settings: TrainingSettings,
+    settings: Settings,
     pairs: Pairs,
     library: MaskLibrary,
     weights: Path,
@@ -89,8 +46,8 @@ def train_geo_evs(
         report: called after every step with its loss.
 
     Raises:
-        GeoEvsError: the prior is not on the machine, the images do not divide into latents, a
-            setting does not exist, or the training diverged.
+        GeoEvsError: the prior is not on the machine, the images do not divide into latents, or the
+            training diverged.
     """
     began = time.monotonic()
     injection = ArtifactInjection(
@@ -119,8 +76,7 @@ class GeoEvsTask:
         seed: of the condition encoder's first weights.
 
     Raises:
-        GeoEvsError: there is no such encoder, weighting, draw of timesteps or sampling, or the
-            images do not divide into latents.
+        GeoEvsError: the images do not divide into latents.
     """
 
     def __init__(
@@ -128,20 +84,13 @@ class GeoEvsTask:
         prior: Prior,
         pairs: Pairs,
         injection: ArtifactInjection,
-        settings: TrainingSettings,
+        settings: Settings,
         seed: int,
     ) -> None:
-        for what, value, allowed in (
-            ("condition encoder", settings.encoder, CONDITION_ENCODERS),
-            ("weighting", settings.weighting, WEIGHTINGS),
-            ("draw of timesteps", settings.timesteps, TIMESTEP_DRAWS),
-        ):
-            if value not in allowed:
-                raise GeoEvsError(f"there is no {what} '{value}'; {did_you_mean(value, allowed)}")
         self._autoencoder = prior.autoencoder.requires_grad_(False)
         self._diffusion = prior.diffusion
         self._pairs, self._injection, self._settings = pairs, injection, settings
-        self._sampling = Sampling(**settings.sampling)
+        self._sampling = settings.sampling
         self._timesteps = (
             torch.arange(TIMESTEPS)
             if settings.timesteps == "uniform"
@@ -220,7 +169,7 @@ class GeoEvsTask:
         return encode_in_parts(encode, len(rgb), self._latents.device)
 
 
-def _conditional(prior: Prior, settings: TrainingSettings, seed: int) -> Denoiser:
+def _conditional(prior: Prior, settings: Settings, seed: int) -> Denoiser:
     """The prior's denoiser behind a new condition encoder."""
     with seeded(seed, "geo-evs", "encoder"):
         encoder = (

@@ -98,14 +98,14 @@ def make_page(run: Path, threads: int = 1) -> str:
         ],
         tables=sorted(tables, key=lambda exhibit: _table_order(exhibit.name)),
         titles={name: spec.title for name, spec in TABLES.items()},
-        exhibits={folder: some for folder, some in exhibits.items() if some},
+        exhibits={folder: parts for folder, parts in exhibits.items() if parts},
         failures=[_described(failure, entrants) for failure in failures],
         featured=settings.ablation,
         charts=_script_json(
             {
                 f"{folder}/{exhibit.name}": exhibit.chart
-                for folder, some in exhibits.items()
-                for exhibit in some
+                for folder, parts in exhibits.items()
+                for exhibit in parts
                 if exhibit.chart
             }
         ),
@@ -159,8 +159,8 @@ def compared_views(run: Path, scores: pd.DataFrame, budget: int, threads: int) -
 
 def _result_folders(run: Path) -> list[str]:
     """Folders of results, charts first."""
-    found = (path.name for path in run.iterdir() if path.is_dir() and path.name[0] != ".")
-    return sorted(set(found) - layout.DATA_FOLDERS, key=lambda name: (name != "charts", name))
+    folders = (path.name for path in run.iterdir() if path.is_dir() and path.name[0] != ".")
+    return sorted(set(folders) - layout.DATA_FOLDERS, key=lambda name: (name != "charts", name))
 
 
 SUFFIXES = ("csv", "png", "html", "md")
@@ -194,8 +194,8 @@ def _csv(path: Path) -> pd.DataFrame:
 def chart_of(page: Path) -> dict[str, Any] | None:
     """The Vega-Lite chart in a page that Altair wrote; None where there is none."""
     text = page.read_text()
-    found = re.search(r"\b(?:const|var|let) spec = (?=\{)", text)
-    return json.JSONDecoder().raw_decode(text, found.end())[0] if found else None
+    match = re.search(r"\b(?:const|var|let) spec = (?=\{)", text)
+    return json.JSONDecoder().raw_decode(text, match.end())[0] if match else None
 
 
 def _table_order(name: str) -> tuple[int, str]:
@@ -207,8 +207,10 @@ def _described(failure: Failure, entrants: Entrants) -> dict[str, str]:
     log = Path(failure.log) if failure.log else None
     return {
         "name": entrants.name(failure.method, failure.variant),
-        **{"place": failure.place, "stage": failure.stage},
-        **{"reason": failure.reason, "log": failure.log},
+        "place": failure.place,
+        "stage": failure.stage,
+        "reason": failure.reason,
+        "log": failure.log,
         "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
     }
 
@@ -222,14 +224,14 @@ def table_html(rows: pd.DataFrame, entrants: Entrants) -> jinja2.utils.markupsaf
     rows = rows[sorted(rows, key=lambda name: name not in (*ENTRANT, *INFO))]
     ends = {name for name in rows if name.endswith(("_low", "_high"))}
     ends = {name for name in ends if re.sub("_(low|high)$", "", name) in rows}
-    shown = [name for name in rows if name not in ends]
+    columns = [name for name in rows if name not in ends]
     escape = jinja2.utils.markupsafe.escape
-    head = "".join(f'<th scope="col">{escape(name.replace("_", " "))}</th>' for name in shown)
+    head = "".join(f'<th scope="col">{escape(name.replace("_", " "))}</th>' for name in columns)
     body = []
     for row in rows.to_dict("records"):
         who = (str(row[name]) for name in ENTRANT[1:] if name in row)
         control = "method" in row and entrants.is_control(*who)
-        cells = "".join(_cell(name, row) for name in shown)
+        cells = "".join(_cell(name, row) for name in columns)
         body.append(f"<tr{' class=control' if control else ''}>{cells}</tr>")
     markup = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
     return jinja2.utils.markupsafe.Markup(f'<table class="sortable n-last">{markup}</table>')

@@ -9,11 +9,11 @@ import pytest
 from baselines.emernerf.adapter import STEPS_AN_IMAGE
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.randomness import Rng
+from geoevs.methods import tiny as room
 from geoevs.methods.check import contract_failures
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
 from geoevs.projection import colour_points, unproject_depth
-from geoevs.scenes import tiny as room
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
 from geoevs.scenes.store import Scene, write_scene
 

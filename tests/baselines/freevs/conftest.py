@@ -1,19 +1,22 @@
 """Clips of the tiny scene, and networks trained on nothing."""
 
+from dataclasses import asdict
+
 import pytest
 import torch
 
 from baselines.freevs.clips import make_clips
 from baselines.freevs.denoiser import ClipDenoiser
 from baselines.freevs.model import ClipGenerator
-from baselines.freevs.task import TrainingSettings
+from baselines.freevs.sampling import Sampling
+from baselines.freevs.training import Noise, Settings
 from geoevs.core.files import write_json
 from geoevs.core.networks import seeded
 from geoevs.methods.tiny import write_tiny_scene
 
 FRAMES = 2  # as many as the tiny scene has
 
-SETTINGS = TrainingSettings(
+SETTINGS = Settings(
     prior="nano",
     frames=FRAMES,
     steps=4,
@@ -21,8 +24,8 @@ SETTINGS = TrainingSettings(
     learning_rate=1e-2,
     drop=0.1,
     simulated=0.5,
-    noise={"mean": 0.7, "std": 1.6},
-    sampling={"steps": 2, "guidance": 1.0, "sigma_max": 20.0},
+    noise=Noise(0.7, 1.6),
+    sampling=Sampling(steps=2, guidance=1.0, sigma_max=20.0),
 )
 
 
@@ -63,9 +66,9 @@ def generator(networks):
 
 @pytest.fixture
 def trained(generator, tmp_path):
-    """What `geoevs train-freevs` writes; blocks of five pixels divide neither side of a view."""
+    """What `geoevs train freevs` writes; blocks of five pixels divide neither side of a view."""
     folder = tmp_path / "trained"
     folder.mkdir()
     generator(frames=3, block=5).save(folder)
-    write_json(folder / "settings.json", {"sampling": SETTINGS.sampling})
+    write_json(folder / "settings.json", {"sampling": asdict(SETTINGS.sampling)})
     return folder

@@ -67,7 +67,7 @@ def test_the_seed_and_the_options_decide_the_samples(fitted):
     assert np.abs(first - other).max() > 0.01
     for option in ({"steps": 3}, {"guidance": 2.0}, {"sigma_max": 5.0}, {"average": 2}):
         assert np.abs(first - fitted(**option).render(VIRTUAL, 1).rgb).max() > 0.001
-    with pytest.raises(GeoEvsError, match=r"^sampling has 0 steps; choose 1 or more$"):
+    with pytest.raises(GeoEvsError, match=r"^sampling cannot have 0 for its option 'steps'"):
         fitted(steps=0)
 
 

@@ -1,21 +1,21 @@
 """Training FreeVS on the tiny scene, and the files it learns from."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 import torch
 
-from baselines.freevs import training
+from baselines.freevs import task as module
 from baselines.freevs.clips import Clips, make_clips, read_clips, write_clips
 from baselines.freevs.task import FreeVSTask, train_freevs
-from geoevs.cli import freevs as commands
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
 from geoevs.core.optimising import Optimisation, optimise
 from geoevs.core.randomness import Rng
 from geoevs.methods.tiny import HEIGHT, WIDTH, write_tiny_scene
+from geoevs.methods.training import Inputs
+from geoevs.methods.training_steps import prepare_scene, train_method
 
 
 @pytest.fixture
@@ -103,8 +103,8 @@ def test_transformations_are_simulated(make, clips, monkeypatch, simulated, kind
     task, seen = make(batch=24, simulated=simulated), []
     kind = np.broadcast_to(np.arange(3, dtype=np.uint8)[None, :, None, None, None], clips.rgb.shape)
     task._clips = dataclasses.replace(clips, rgb=kind.copy())
-    encode = training.to_tensor
-    monkeypatch.setattr(training, "to_tensor", lambda rgb: seen.append(rgb) or encode(rgb))
+    encode = module.to_tensor
+    monkeypatch.setattr(module, "to_tensor", lambda rgb: seen.append(rgb) or encode(rgb))
     with torch.no_grad():
         task.losses(rng())
     drawn = seen[0][:, 0, 0, 0].reshape(24, -1)
@@ -167,19 +167,19 @@ def test_training_repeats_and_seeds_differ(settings, clips, weights, tmp_path):
     assert not torch.equal(first, other)
 
 
-def test_commands_make_clips_and_write_down_what_failed(settings, weights, tmp_path, capsys):
-    scene = write_tiny_scene(tmp_path / "scene")
-    commands.clips(scene.folder, tmp_path / "clips.npz")
-    np.testing.assert_array_equal(
-        read_clips([tmp_path / "clips.npz"]).rgb, make_clips(scene, lambda: None).rgb
-    )
+def test_the_steps_make_clips_and_write_down_what_failed(settings, weights, tmp_path, capsys):
+    scene, clips = write_tiny_scene(tmp_path / "scene"), tmp_path / "clips.npz"
+    prepare_scene("freevs", scene.folder, Inputs(), clips)
+    np.testing.assert_array_equal(read_clips([clips]).rgb, make_clips(scene, lambda: None).rgb)
 
     def run(out, **changed):
-        text = json.dumps(dataclasses.asdict(dataclasses.replace(settings, **changed)))
-        commands.train_freevs([tmp_path / "clips.npz"], text, weights, tmp_path / "work", out)
+        values = dataclasses.asdict(dataclasses.replace(settings, **changed))
+        inputs = Inputs(weights=weights)
+        train_method("freevs", values, [clips], inputs, 0, tmp_path / "work", out)
 
     run(tmp_path / "fine")
-    assert read_json(tmp_path / "fine/settings.json") == {"sampling": settings.sampling}
+    sampling = dataclasses.asdict(settings.sampling)
+    assert read_json(tmp_path / "fine/settings.json") == {"sampling": sampling}
     assert read_json(tmp_path / "fine/seconds.json")["training"] > 0
     assert not (tmp_path / "work/state.pt").exists()
     run(tmp_path / "failed", frames=7)

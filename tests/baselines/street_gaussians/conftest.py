@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from geoevs.methods import tiny as room
 from geoevs.projection import colour_points, unproject_depth
-from geoevs.scenes import tiny as room
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
 from geoevs.scenes.store import Scene, write_scene
 

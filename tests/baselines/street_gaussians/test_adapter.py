@@ -7,10 +7,10 @@ import torch
 from baselines.street_gaussians import losses
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.randomness import Rng
+from geoevs.methods import tiny as room
 from geoevs.methods.check import contract_failures
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
-from geoevs.scenes import tiny as room
 
 STEP = -0.9  # metres along y a frame
 

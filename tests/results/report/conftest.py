@@ -86,9 +86,16 @@ def reported(run, tmp_path_factory):
     config = {"tables": dataclasses.asdict(SETTINGS), "methods": {"grey": {}}}
     machine = {"processor": "a processor", "cores": 2}
     versions = {"python": "3.11"}
-    manifest = {"commit": "abc", "seed": 0, "config": config, "versions": versions}
-    manifest |= {"configfiles": ["config.yaml", "other.yaml"]}
-    write_json(run / layout.MANIFEST, manifest | {"machine": machine})
+    manifest = {
+        "commit": "abc",
+        "protocol": 7,
+        "seed": 0,
+        "config": config,
+        "configfiles": ["config.yaml", "other.yaml"],
+        "versions": versions,
+        "machine": machine,
+    }
+    write_json(run / layout.MANIFEST, manifest)
     table = make_table("extrapolation", scores, SETTINGS, entrants)
     write_text(run / "tables/extrapolation.csv", table.to_csv(index=False))
     points = speed_accuracy("extrapolation", scores, spent, SETTINGS, entrants)

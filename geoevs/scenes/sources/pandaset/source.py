@@ -48,22 +48,17 @@ class Source:
         height, width: size of the run's images in pixels; whole images are resized to it.
         folder: holds one folder per sequence, such as 002; `$NAME` in it is looked up in the
             environment.
-
-    Raises:
-        GeoEvsError: the folder does not exist, or the variable it names is not set.
     """
 
     has_truth = False
 
     def __init__(self, height: int, width: int, *, folder: str) -> None:
         self.height, self.width = height, width
-        expanded = os.path.expandvars(str(folder))
-        if not expanded or not Path(expanded).is_dir():
-            raise GeoEvsError(
-                f"there is no PandaSet folder '{expanded or folder}'; set GEOEVS_PANDASET to the "
-                "folder that holds sequences such as 002"
-            )
-        self.folder = Path(expanded)
+        # Nothing, where the variable is empty, must not become the current folder.
+        self.folder = Path(os.path.expanduser(os.path.expandvars(folder)) or folder)
+
+    def check(self, scene: SceneRef) -> None:
+        """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
 
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open one sequence; its boxes are read now, its images and sweeps as they are iterated.
@@ -72,15 +67,10 @@ class Source:
         range, all of the range. Each must be whole.
 
         Raises:
-            GeoEvsError: the sequence, a camera of the rig, a sweep, an image, a calibration entry
-                or a box file is missing; the sentence names the file.
+            GeoEvsError: the folder, the sequence, a camera of the rig, a sweep, an image, a
+                calibration entry or a box file is missing; the sentence names it.
         """
-        folder = self.folder / scene.name
-        if not folder.is_dir():
-            raise GeoEvsError(
-                f"there is no PandaSet sequence at {folder}; set GEOEVS_PANDASET to the folder "
-                "that holds it, or name another scene"
-            )
+        folder = self._sequence(scene)
         cameras = _find_cameras(folder)
         frames = _find_frames(folder, cameras, scene)
         for file in ("poses.json", "timestamps.json"):
@@ -103,6 +93,20 @@ class Source:
             f"PandaSet scene '{scene.name}' has no dense truth at new poses; score it on its "
             "sparse reference, or use a procedural scene"
         )
+
+    def _sequence(self, scene: SceneRef) -> Path:
+        if not self.folder.is_dir():
+            raise GeoEvsError(
+                f"there is no PandaSet folder '{self.folder}'; set GEOEVS_PANDASET to the folder "
+                "that holds sequences such as 002"
+            )
+        folder = self.folder / scene.name
+        if not folder.is_dir():
+            raise GeoEvsError(
+                f"there is no PandaSet sequence at {folder}; set GEOEVS_PANDASET to the folder "
+                "that holds it, or name another scene"
+            )
+        return folder
 
     def _read_frame(self, folder: Path, cameras: tuple[str, ...], number: int) -> Frame:
         calibrated, images = {}, {}

@@ -1,11 +1,13 @@
 """The `street` data source: procedural streets with dense truth at any pose and instant."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.randomness import keyed_rng
+from geoevs.core.settings import Positive, Within
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, SceneInfo, SceneRecord, SceneRef, Truth
 from geoevs.scenes.sources.street.buildings import add_buildings
@@ -85,7 +87,7 @@ class Source:
         traffic_speed: of all cars that drive, m/s; None leaves each its own.
 
     Raises:
-        GeoEvsError: an option is out of its range.
+        GeoEvsError: the frames are longer than a street lasts.
     """
 
     has_truth = True
@@ -95,48 +97,49 @@ class Source:
         height: int,
         width: int,
         *,
-        frames: int = 8,
-        interval: float = INTERVAL,
-        lidar_azimuths: int = 400,
-        samples: int = 25,
-        traffic_speed: float | None = None,
+        frames: Annotated[int, Within(1, 60)] = 8,
+        interval: Positive = INTERVAL,
+        lidar_azimuths: Annotated[int, Within(1, 4000)] = 400,
+        samples: Annotated[int, Within(1, 400)] = 25,
+        traffic_speed: Annotated[float, Within(0, FASTEST)] | None = None,
     ) -> None:
-        for name, value, most in (
-            ("frames", frames, 60),
-            ("lidar_azimuths", lidar_azimuths, 4000),
-            ("samples", samples, 400),
-        ):
-            if not 1 <= value <= most:
-                raise GeoEvsError(
-                    f"street's option '{name}' is {value}; choose a whole number from 1 to {most}"
-                )
         if not 0 < frames * interval <= LONGEST:
             raise GeoEvsError(
                 f"street's options make {frames} frames of {interval} s each; streets last "
                 f"{LONGEST:g} s, so lower 'frames' or 'interval'"
-            )
-        if traffic_speed is not None and not 0 <= traffic_speed <= FASTEST:
-            raise GeoEvsError(
-                f"street's option 'traffic_speed' is {traffic_speed}; choose from 0 to {FASTEST:g}"
             )
         self._height, self._width, self._interval = height, width, interval
         self._traffic_speed = traffic_speed
         self._frames, self._azimuths, self._samples = frames, lidar_azimuths, samples
         self._world: World | None = None
 
+    def check(self, scene: SceneRef) -> None:
+        """Refuse names and frames that no street has.
+
+        Raises:
+            GeoEvsError: the name is not `<layout>-<seed>`, or the scene lacks one of the frames.
+        """
+        layout, dash, seed = scene.name.partition("-")
+        if layout not in LAYOUTS or not dash or not seed.isdecimal():
+            raise GeoEvsError(
+                f"street scene '{scene.name}' is not of the form LAYOUT-SEED with a layout and a "
+                f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
+            )
+        if scene.last is not None and scene.last >= self._frames:
+            raise GeoEvsError(
+                f"scene '{scene.name}' has no frame {max(scene.first, self._frames)}; its frames "
+                f"are 0 to {self._frames - 1}, so choose a range of those or raise 'frames'"
+            )
+
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open a scene; each frame is rendered when it is iterated.
 
         Raises:
-            GeoEvsError: the name is not `<layout>-<seed>`, or the scene has none of the frames.
+            GeoEvsError: see `check`.
         """
+        self.check(scene)
         world = self._enter(scene)
         frames = [frame for frame in range(self._frames) if scene.holds(frame)]
-        if not frames:
-            raise GeoEvsError(
-                f"scene '{scene.name}' has no frame in {scene.first}-{scene.last}; "
-                f"its frames are 0 to {self._frames - 1}"
-            )
         info = SceneInfo(
             name=scene.name,
             source="street",
@@ -157,6 +160,7 @@ class Source:
         Raises:
             GeoEvsError: the scene's name is wrong, or the scene does not have one of the frames.
         """
+        self.check(scene)
         world = self._enter(scene)
         for _, frame in views:
             if not (scene.holds(frame) and 0 <= frame < self._frames):
@@ -167,12 +171,6 @@ class Source:
         return self._render_truth(world, views)
 
     def _enter(self, scene: SceneRef) -> World:
-        layout, dash, seed = scene.name.partition("-")
-        if layout not in LAYOUTS or not dash or not seed.isdecimal():
-            raise GeoEvsError(
-                f"street scene '{scene.name}' is not of the form LAYOUT-SEED with a layout and a "
-                f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
-            )
         if self._world is None or self._world.name != scene.name:
             self._world = World(scene.name, self._interval, self._traffic_speed)
         return self._world

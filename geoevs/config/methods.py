@@ -1,0 +1,124 @@
+"""Checking a config's entrants: their methods, options and trainings."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from geoevs.config.entrants import method_entries
+from geoevs.config.files import located
+from geoevs.config.partitions import partition_scenes
+from geoevs.config.trainings import check_named, variants
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.settings import SettingError, check_options
+from geoevs.methods.finding import find_methods, find_trainings, method_class, training_class
+from geoevs.protocol.entries import ORACLES, MethodEntry
+
+
+def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    """Check that every entrant exists and is told apart, and can be made with its options.
+
+    Raises:
+        GeoEvsError: it does not, or cannot.
+    """
+    found = find_methods()
+    for name in ORACLES:
+        if name in found:
+            path = found[name].replace(".", "/") + ".py"
+            raise GeoEvsError(
+                f"{path}: '{name}' is the control that copies the answer, so this method would "
+                "never run; rename its folder"
+            )
+    labels = set()
+    for entry in method_entries(config):
+        with located(("methods", entry.name), files):
+            if entry.method not in (*ORACLES, *found):
+                raise GeoEvsError(
+                    f"there is no method '{entry.method}'; "
+                    f"{did_you_mean(entry.method, (*ORACLES, *found))}"
+                )
+            if entry.method in ORACLES and entry.options:
+                raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
+            _check_training(config, entry)
+            check_method_options(entry)
+            if entry.label in labels:
+                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
+            labels.add(entry.label)
+
+
+def check_method_options(entry: MethodEntry) -> None:
+    """Check that a method can be made with an entry's options.
+
+    Raises:
+        GeoEvsError: it has no such option, an option has no such value, or the method refuses them.
+    """
+    if entry.training and "weights" in entry.options:
+        raise SettingError(
+            ("options", "weights"),
+            f"the weights of '{entry.name}' are those of its training; remove the option 'weights'",
+        )
+    if entry.method in ORACLES:
+        return
+    given = entry.options | ({"weights": ""} if entry.training else {})
+    method = _imported(entry)
+    if method is None:
+        return
+    try:
+        check_options(f"method '{entry.name}'", method, given)
+    except SettingError as mistake:
+        raise SettingError(("options", *mistake.key), str(mistake)) from None
+    try:
+        method(**given)
+    except GeoEvsError:
+        raise
+    except Exception:  # a mistake of the method's own, which its rows will tell
+        return
+
+
+def _check_training(config: Mapping[str, Any], entry: MethodEntry) -> None:
+    """Methods that are trained name a training, others none; it needs scenes."""
+    trained = entry.method not in ORACLES and "training" in _needs(entry)
+    if trained and not entry.training:
+        names = [
+            f"{name}/{variant}" for name in find_trainings() for variant in variants(config, name)
+        ]
+        raise GeoEvsError(
+            f"method '{entry.name}' is trained before it is fitted; name one under 'training' "
+            f"({', '.join(names)})"
+        )
+    if entry.training and not trained:
+        raise GeoEvsError(
+            f"method '{entry.name}' is not trained; remove 'training', or declare it in its needs"
+        )
+    if not trained:
+        return
+    check_named(config, entry.training)
+    partition = training_class(entry.training.partition("/")[0]).partition
+    if not partition_scenes(config, partition, config["datasets"]):
+        raise GeoEvsError(
+            f"method '{entry.name}' is trained, but no data set has scenes under "
+            f"partitions.{partition}; name some, or set the method to null"
+        )
+
+
+def _needs(entry: MethodEntry) -> tuple[str, ...]:
+    method = _imported(entry)
+    return () if method is None else method.info.needs
+
+
+def _imported(entry: MethodEntry) -> type | None:
+    """An entrant's class; None for one that cannot be imported and so says so in its rows.
+
+    Raises:
+        GeoEvsError: it cannot be imported although the config says more of it than its name.
+    """
+    try:
+        return method_class(entry.method)
+    except GeoEvsError:
+        raise
+    except Exception as error:  # a method's module may raise anything
+        if not (entry.training or entry.options):
+            return None
+        raise GeoEvsError(
+            f"method '{entry.method}' cannot be imported ({error}); install what it lacks, or set "
+            "it to null to leave it out"
+        ) from error

@@ -1,0 +1,28 @@
+"""A scene as a source gives it, made a scene store whose LiDAR its own cameras coloured."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from geoevs.core.files import new_folder
+from geoevs.core.progress import counted
+from geoevs.projection import colour_frame
+from geoevs.scenes.depths import write_depths
+from geoevs.scenes.scene import SceneRecord
+from geoevs.scenes.store import write_scene
+
+
+def write_coloured_scene(
+    folder: Path, depths: Path, record: SceneRecord, advance: Callable[[], None]
+) -> None:
+    """Write a scene's store and, apart from it, what its source knows of the true depth.
+
+    Args:
+        folder: the store, whole or not at all.
+        depths: the folder of true depths, whole or not at all; empty where nobody knows them.
+        record: the scene; one frame of it is in memory at a time.
+        advance: called after each frame, for a progress bar.
+    """
+    with new_folder(depths) as partial:
+        coloured = (colour_frame(frame) for frame in counted(record.frames, advance))
+        frames = (write_depths(partial, frame) for frame in coloured)
+        write_scene(folder, record.info, record.tracks, frames)

@@ -1,0 +1,47 @@
+import dataclasses
+
+import numpy as np
+
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
+from geoevs.projection.coloured_scenes import write_coloured_scene
+from geoevs.scenes.depths import read_depths
+from geoevs.scenes.scene import Frame, PointCloud, SceneRecord
+from geoevs.scenes.store import Scene
+
+
+def uncoloured_frames(scene):
+    """The frames of a scene as a source gives them: no colours, but true depths."""
+    for frame in scene.frames:
+        cameras = {name: scene.camera(name, frame) for name in scene.cameras}
+        truth = {name: tiny_truth(camera) for name, camera in cameras.items()}
+        points = scene.points(frame)
+        yield Frame(
+            frame,
+            scene.timestamp(frame),
+            cameras,
+            {name: view.rgb for name, view in truth.items()},
+            PointCloud.uncoloured(points.xyz, points.sensor, points.beam),
+            {name: view.depth for name, view in truth.items()},
+        )
+
+
+def test_a_store_is_coloured_and_depths_lie_apart(tmp_path):
+    expected = write_tiny_scene(tmp_path / "expected")  # which colours its points itself
+    steps = []
+    record = SceneRecord(expected.info, expected.tracks, uncoloured_frames(expected), 2)
+    write_coloured_scene(tmp_path / "s", tmp_path / "d", record, lambda: steps.append(1))
+    assert len(steps) == 2
+    scene = Scene(tmp_path / "s")
+    assert scene.info == expected.info
+    for frame in scene.frames:
+        for field in dataclasses.fields(PointCloud):
+            np.testing.assert_array_equal(
+                getattr(scene.points(frame), field.name),
+                getattr(expected.points(frame), field.name),
+            )
+        front = tiny_truth(scene.camera("front", frame)).depth
+        np.testing.assert_array_equal(read_depths(tmp_path / "d", frame)["front"], front)
+    files = [path.relative_to(tmp_path / "s") for path in (tmp_path / "s").rglob("*")]
+    assert sorted(files) == sorted(
+        path.relative_to(tmp_path / "expected") for path in (tmp_path / "expected").rglob("*")
+    )
