@@ -16,8 +16,8 @@ from geoevs.core.files import read_json, to_uint8, write_image
 from geoevs.methods.contract import Adapter
 from geoevs.methods.finding import method_class
 from geoevs.protocol.targets import ALL_CAMERAS
+from geoevs.run import Answers
 from geoevs.scenes.scene import SceneRef, load_source
-from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera
 
 DATASET, SCENES, FRAME = "street", ("straight-101", "junction-103"), 4
@@ -26,17 +26,16 @@ SHIFTS = (0.0, 1.0, 2.0)
 ENLARGED = 2
 
 
-def fitted(run: Path, place: dict[str, str], label: str) -> Adapter:
+def fitted(answers: Answers, label: str) -> Adapter:
     """A method as the run fitted it to all cameras of a scene."""
-    folder = run / layout.MODEL.format(**place, label=label) / ALL_CAMERAS / "model"
-    return method_class(label).load(folder)
+    return method_class(label).load(answers.path(layout.MODEL, label=label) / ALL_CAMERAS / "model")
 
 
 def shifted_views(run: Path, name: str) -> list[np.ndarray]:
     """Rows of one scene, each (H, 3 W, 3) uint8."""
     config = read_json(run / layout.MANIFEST)["config"]
-    place = {"dataset": DATASET, "scene": name}
-    scene = Scene(run / layout.SCENE.format(**place))
+    answers = Answers(run, DATASET, name)
+    scene = answers.scene
     front, side = (
         scene.camera(camera, FRAME) for camera in (scene.info.rig.front, scene.info.rig.front_left)
     )
@@ -45,7 +44,7 @@ def shifted_views(run: Path, name: str) -> list[np.ndarray]:
     truths = source.truth(SceneRef.parse(name), [(camera, FRAME) for camera in cameras])
     rows = [[to_uint8(truth.rgb) for truth in truths]]
     for label in METHODS:
-        method = fitted(run, place, label)
+        method = fitted(answers, label)
         rows.append([to_uint8(method.render(camera, FRAME).rgb) for camera in cameras])
     return [np.hstack(row) for row in rows]
 

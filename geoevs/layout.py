@@ -51,6 +51,10 @@ AUDIT_PAGE = "audit/audit.md"
 AUDIT_TABLE = "audit/{table}.csv"
 AUDIT_CHART = "audit/{chart}"
 
+FIT_LOG = "logs/fit/{dataset}/{scene}/{label}.log"
+RENDER_LOG = "logs/render/{dataset}/{scene}/{label}.log"
+DEPTH_SCORE_LOG = "logs/depth-scores/{dataset}/{scene}.log"
+
 RESULT_FOLDERS = {"tables", "figures", "charts", "stability", "audit"}
 DATA_FOLDERS = {
     pattern.split("/")[0]

@@ -8,7 +8,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, read_json, write_json
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
-from geoevs.scenes.camera import Camera
+from geoevs.scenes.camera import Camera, view_key
 
 
 @dataclass
@@ -44,7 +44,8 @@ class Method:
         Raises:
             GeoEvsError: it is missing, no image, or of another size.
         """
-        path = Path(self.folder).expanduser() / self.scene / camera.name / f"{frame:06d}.png"
+        folder = Path(self.folder).expanduser() / self.scene
+        path = folder / f"{view_key(camera.name, frame)}.png"
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise GeoEvsError(

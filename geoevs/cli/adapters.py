@@ -1,16 +1,14 @@
 """The commands for people who add a method: `new-adapter` and `check-adapter`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-import baselines
 from geoevs.cli.arguments import parse_json
 from geoevs.methods.check import Check
-from geoevs.methods.check import check_adapter as run_checks
+from geoevs.methods.finding import methods_root
 from geoevs.methods.template import new_adapter as write_adapter
 
 MARKS = {
@@ -27,11 +25,16 @@ def register(app: typer.Typer) -> None:
         app.command()(command)
 
 
-def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) -> None:
+def new_adapter(
+    name: Annotated[str, typer.Argument(help="such as my-method")],
+    training: Annotated[
+        bool, typer.Option("--training", help="one that learns before it is fitted")
+    ] = False,
+) -> None:
     """Write a small working adapter, for you to change, and its test."""
-    root = Path(baselines.__path__[0]).parent
+    root = methods_root()
     console = Console()
-    written = write_adapter(name, root)
+    written = write_adapter(name, root, training)
     for path in written:
         console.print(f"wrote {escape(str(path.relative_to(root)))}", soft_wrap=True)
     called = written[0].parent.name.replace("_", "-")
@@ -40,15 +43,30 @@ def new_adapter(name: Annotated[str, typer.Argument(help="such as my-method")]) 
         f"as you go,\nand add `{called}: {{}}` under `methods` in config.yaml to have it scored.",
         soft_wrap=True,
     )
+    if training:
+        console.print(
+            f"Settings that are not its defaults go to `{called}: {{...}}` under `trainings`.",
+            soft_wrap=True,
+        )
 
 
 def check_adapter(
     name: Annotated[str, typer.Argument(help="the method, such as my-method")],
     options: Annotated[str, typer.Option(help="its options as JSON")] = "{}",
+    settings: Annotated[
+        str, typer.Option(help="its training's settings that are not the defaults, as JSON")
+    ] = "{}",
     traceback: Annotated[bool, typer.Option(help="print the method's own tracebacks")] = False,
 ) -> None:
-    """Check on a tiny scene that a method keeps the contract; exit code 1 if it does not."""
-    checks = run_checks(name, parse_json("--options", options))
+    """Check on a tiny scene that a method keeps the contract; exit code 1 if it does not.
+
+    A method that trains beforehand is trained first, for a few steps, and fitted with what that
+    left. One that takes another method's weights needs the option `weights`.
+    """
+    from geoevs.conditions.trial import check_method
+
+    given = parse_json("--options", options), parse_json("--settings", settings)
+    checks = check_method(name, *given)
     console = Console()
     for check in checks:
         _print_check(console, check, traceback)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from geoevs.results.settings import TableSettings
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
+Dataset = Annotated[str, typer.Option(help="The data set's name in the config.")]
+SceneInRun = Annotated[str, typer.Option(help="The scene's name in the config.")]
 SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
 Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Scores = Annotated[Path, typer.Option(help="The run's scores.parquet.")]

@@ -6,9 +6,11 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import (
+    Dataset,
     EntrantsFile,
     Out,
     Run,
+    SceneInRun,
     TablesSection,
     parse_json,
     read_rows,
@@ -24,8 +26,8 @@ def register(app: typer.Typer) -> None:
 
 def audit_scene(
     run: Run,
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
-    scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    dataset: Dataset,
+    scene: SceneInRun,
     entrants: Annotated[str, typer.Option(help="[method, variant, seed] of each, as JSON.")],
     out: Out,
     seed: Annotated[int, typer.Option(min=0, help="The run's seed.")] = 0,
@@ -34,12 +36,13 @@ def audit_scene(
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.audit import audit_rows
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.run import Answers
 
     entries = [
         MethodEntry(method, variant, {}, number)
         for method, variant, number in parse_json("--entrants", entrants, list)
     ]
-    write_parquet(out, audit_rows(run, dataset, scene, entries, seed))
+    write_parquet(out, audit_rows(Answers(run, dataset, scene), entries, seed))
 
 
 def audit_page(

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer.models import CommandInfo
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.files import write_text
 
 app = typer.Typer(
@@ -76,8 +76,7 @@ def main() -> None:
             where = (
                 f"see {_log}" if _log else "repeat it as `geoevs --log FILE ...` for the traceback"
             )
-            reason = " ".join(str(error).split())
-            message = f"internal error: {type(error).__name__}: {reason} ({where})"
+            message = f"internal error: {reason_of(error)} ({where})"
         if _log is not None:
             write_text(_log, f"{message}\n\n{traceback.format_exc()}")
         print(message, file=sys.stderr)

@@ -6,10 +6,12 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import (
+    Dataset,
     EntrantsFile,
     Out,
     Run,
     SceneFolder,
+    SceneInRun,
     TablesSection,
     parse_json,
     read_rows,
@@ -82,8 +84,8 @@ def stability_render(
 
 def stability_score(
     run: Run,
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
-    scene: Annotated[str, typer.Option(help="The scene's name in the config.")],
+    dataset: Dataset,
+    scene: SceneInRun,
     method: Method,
     group: Group,
     settings: Settings,
@@ -95,9 +97,10 @@ def stability_score(
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.stability_scoring import score_stresses
+    from geoevs.run import Answers
 
-    entry, section = MethodEntry(method, variant, {}, seed), parse_json("--settings", settings)
-    write_parquet(out, score_stresses(entry, group, run, dataset, scene, section))
+    entry, clean = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    write_parquet(out, score_stresses(entry, group, clean, parse_json("--settings", settings)))
 
 
 def stability_table(

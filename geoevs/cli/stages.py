@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, SceneFolder, parse_json
+from geoevs.cli.arguments import Dataset, Out, Run, SceneFolder, SceneInRun, parse_json
 from geoevs.core.progress import progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
@@ -13,6 +13,7 @@ SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST
 Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
 TargetFile = Annotated[Path, typer.Option(help="The scene's target list.")]
 MaskFile = Annotated[Path, typer.Option(help="The masks that `geoevs references` wrote.")]
+OfOracles = Annotated[str, typer.Option(help="For the controls reference and truth alone.")]
 Size = Annotated[int, typer.Option(min=1, help="Pixels.")]
 Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
@@ -131,30 +132,23 @@ def render(
     masks: MaskFile,
     out: Out,
     method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
-    scene: Annotated[str, typer.Option(help="For the controls reference and truth alone.")] = "",
-    references: Annotated[
-        str, typer.Option(help="For the controls reference and truth alone.")
-    ] = "",
-    truth: Annotated[str, typer.Option(help="For the controls reference and truth alone.")] = "",
+    run: OfOracles = "",
+    dataset: OfOracles = "",
+    scene: OfOracles = "",
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import render_method
 
-    evidence = {"scene": scene, "references": references, "truth": truth}
-    render_method(MethodEntry(method), model, targets, masks, evidence, out, method_log)
+    answers = {"run": run, "dataset": dataset, "scene": scene}
+    render_method(MethodEntry(method), model, targets, masks, out, method_log, answers)
 
 
 def score(
     method: Annotated[str, typer.Option(help="The method's name.")],
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
-    scene_name: Annotated[str, typer.Option(help="The scene's name in the config.")],
-    scene: SceneFolder,
-    targets: TargetFile,
-    references: Annotated[Path, typer.Option(help="What `geoevs references` wrote.")],
-    truth: Annotated[Path, typer.Option(help="What `geoevs truth` wrote.")],
-    masks: MaskFile,
-    renders: Annotated[Path, typer.Option(help="What `geoevs render` wrote.")],
+    run: Run,
+    dataset: Dataset,
+    scene: SceneInRun,
     protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
     out: Out,
     costs: Annotated[Path, typer.Option(help="Where the cost rows go.")],
@@ -165,23 +159,21 @@ def score(
     from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
-    from geoevs.protocol.scoring import Evidence, cost_rows, score_method
-    from geoevs.scenes.store import Scene
+    from geoevs.protocol.scoring import cost_rows, score_method
+    from geoevs.run import Answers
 
     settings = parse_json("--protocol", protocol)
-    entry = MethodEntry(method, variant, {}, seed)
-    place = {"dataset": dataset, "scene": scene_name}
-    common = {**place, "fingerprint": protocol_fingerprint(Scene(scene), settings)}
-    evidence = Evidence(scene, targets, references, truth, masks)
-    rows = score_method(entry, evidence, renders, settings["reference_keep"], common)
+    entry, answers = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    fingerprint = protocol_fingerprint(answers.scene, settings)
+    rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
     write_bytes(out, score_frame(rows).to_parquet(index=False))
-    write_bytes(costs, cost_frame(cost_rows(entry, renders, place)).to_parquet(index=False))
+    write_bytes(costs, cost_frame(cost_rows(entry, answers)).to_parquet(index=False))
 
 
 def score_sets(
     method: Annotated[str, typer.Option(help="The method's name.")],
     run: Run,
-    dataset: Annotated[str, typer.Option(help="The data set's name in the config.")],
+    dataset: Dataset,
     scenes: Annotated[list[str], typer.Option(help="A test scene of it; repeat for more.")],
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Of the intervals.")],
     out: Out,

@@ -1,14 +1,41 @@
-"""What a training reads, of the tiny scene: for `geoevs check-adapter`."""
+"""Checking a whole method on the tiny scene, its training included: `geoevs check-adapter`."""
 
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import geoevs
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.point_maps import write_point_maps
+from geoevs.methods.check import Check, check_adapter
+from geoevs.methods.check_training import check_imports_no_torch, check_training
+from geoevs.methods.finding import find_methods, find_trainings
 from geoevs.methods.training import Inputs
 from geoevs.scenes.store import Scene
 
 MASK_POSES = {"yaw": [0.0, 0.5], "lateral": [-1.0, 1.0]}
+
+
+def check_method(name: str, options: dict[str, Any], settings: dict[str, Any]) -> list[Check]:
+    """Run every check on a method, on its training first, whose weights the others then take.
+
+    Args:
+        name: the method's.
+        options: its own; with `weights` among them no training is checked.
+        settings: of its training, where they are not the defaults.
+
+    Raises:
+        GeoEvsError: there is no such method, or an option or setting is wrong.
+    """
+    checks = [check_imports_no_torch(name)] if name in find_methods() else []
+    if name not in find_trainings() or "weights" in options:
+        return checks + check_adapter(name, options)
+    with tempfile.TemporaryDirectory() as temporary:
+        weights = Path(temporary) / "weights"
+        checks += check_training(name, settings, trial_inputs, weights)
+        if not weights.exists():
+            return checks
+        return checks + check_adapter(name, options | {"weights": str(weights)})
 
 
 def trial_inputs(scene: Scene, folder: Path) -> Inputs:

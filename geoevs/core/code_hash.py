@@ -11,12 +11,15 @@ import geoevs
 ROOT = Path(geoevs.__file__).parents[1]
 PACKAGES = ("geoevs", "baselines")
 DATA = (".yaml", ".jinja", ".css", ".js")
+PATHS = "geoevs.layout"
+"""The module of all paths. It does not count: what Snakemake makes or reads elsewhere than before
+it makes again by itself, and a new path concerns no rule that is there."""
 
 
 def code_hash(*modules: str) -> str:
     """Hash the code of `modules` and of the project's modules that they import, however deep.
 
-    The data files beside a module (see DATA) count with it. Comments and formatting do not count;
+    The data files beside a module (see DATA) count with it. Comments, formatting and PATHS do not;
     modules found by name at run time (plugins) must be named.
 
     Args:
@@ -92,4 +95,6 @@ def _imports(module: str, function: str = "") -> tuple[str, ...]:
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return tuple(name for name in names if name.split(".")[0] in PACKAGES and _path(name))
+    return tuple(
+        name for name in names if name.split(".")[0] in PACKAGES and name != PATHS and _path(name)
+    )

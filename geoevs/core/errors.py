@@ -1,4 +1,4 @@
-"""The one error a user can mend, and the word they probably meant."""
+"""The one error a user can mend, why anything failed, and the word that was probably meant."""
 
 import difflib
 from collections.abc import Iterable
@@ -6,6 +6,16 @@ from collections.abc import Iterable
 
 class GeoEvsError(Exception):
     """Bad input or configuration. Its text is one sentence that names the culprit and the fix."""
+
+
+def reason_of(error: BaseException) -> str:
+    """Why something failed, in one line: a GeoEvsError's sentence, of others their type before it.
+
+    >>> reason_of(ValueError("two" + chr(10) + "lines"))
+    'ValueError: two lines'
+    """
+    message = " ".join(str(error).split()) or "no message"
+    return message if isinstance(error, GeoEvsError) else f"{type(error).__name__}: {message}"
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:

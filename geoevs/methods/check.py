@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import (
     NEEDS,
@@ -172,10 +172,8 @@ def _failure(title: str, error: Exception) -> Check:
     own = [frame for frame in frames if Path(frame.filename).name == "adapter.py"]
     place = (own or frames)[-1]
     where = f"{Path(place.filename).parent.name}/{Path(place.filename).name}:{place.lineno}"
-    what = str(error) if isinstance(error, GeoEvsError) else f"{type(error).__name__}: {error}"
-    return Check(
-        title, "failed", f"{what} (at {where})", "".join(traceback.format_exception(error))
-    )
+    sentence = f"{reason_of(error)} (at {where})"
+    return Check(title, "failed", sentence, "".join(traceback.format_exception(error)))
 
 
 def _check_info(trial: Trial) -> None:

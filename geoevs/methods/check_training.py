@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -88,7 +89,10 @@ class TrainingTrial:
 
 
 def check_training(
-    name: str, values: Mapping[str, Any], make_inputs: Callable[[Scene, Path], Inputs]
+    name: str,
+    values: Mapping[str, Any],
+    make_inputs: Callable[[Scene, Path], Inputs],
+    weights: Path,
 ) -> list[Check]:
     """Run every check on the training of the method called `name`.
 
@@ -96,6 +100,7 @@ def check_training(
         name: the method's.
         values: settings that are not its defaults, such as fewer steps.
         make_inputs: gives what a training may read, of the tiny scene.
+        weights: where the folder of a training that ended well is kept.
 
     Raises:
         GeoEvsError: the method does not train, or a setting is wrong.
@@ -107,6 +112,9 @@ def check_training(
             failed = [done.name for done in checks if done.status == "failed"]
             skipped = Check(title, "skipped", f"{failed[0]} failed") if failed else None
             checks.append(skipped or _run(title, check, trial))
+        trained = trial.folder / "out/whole"
+        if trained.is_dir() and not (trained / FAILURE_FILE).exists():
+            shutil.copytree(trained, weights)
         return checks
 
 

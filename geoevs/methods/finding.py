@@ -1,5 +1,7 @@
 """Methods and their trainings by the names of their folders."""
 
+import importlib
+from pathlib import Path
 from typing import Any
 
 from geoevs.core.plugins import find_plugins, load_plugin
@@ -9,6 +11,11 @@ from geoevs.methods.training import Training, check_training_class
 
 FOLDERS = ("geoevs.generator", "baselines", "baselines.controls")
 """Packages whose folders are methods; where two hold the same name, the earlier one wins."""
+
+
+def methods_root() -> Path:
+    """The folder that holds `baselines`, where new methods are written."""
+    return Path(importlib.import_module("baselines").__path__[0]).parent
 
 
 def find_methods() -> dict[str, str]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.files import link_file, new_folder, write_json
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import training_class
@@ -86,13 +86,11 @@ def train_method(
                 seconds["geometry"] = trained_seconds(geometry) or 0.0
             write_json(seconds_file(partial), seconds)
     except Exception as error:  # a method's training may raise anything
-        reason = str(error)
         if not isinstance(error, GeoEvsError):
             traceback.print_exc()
-            reason = f"{type(error).__name__}: {' '.join(reason.split())}"
-        print(f"error: {reason}", file=sys.stderr)
+        print(f"error: {reason_of(error)}", file=sys.stderr)
         with new_folder(out) as partial:
-            write_json(partial / FAILURE_FILE, {"reason": reason})
+            write_json(partial / FAILURE_FILE, {"reason": reason_of(error)})
         return
     _forget(work)
 

@@ -13,7 +13,6 @@ Rows of five parts, one scene at a time:
 """
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,8 +24,9 @@ from geoevs.core.randomness import Rng
 from geoevs.projection import colour_points, project_points, zbuffer
 from geoevs.protocol.entries import OK, ORACLES, MethodEntry, read_outcomes
 from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM, MaskedMean
-from geoevs.protocol.stability_scoring import World, depth_edges
+from geoevs.protocol.stability_scoring import depth_edges
 from geoevs.protocol.targets import ALL_CAMERAS, Target
+from geoevs.run import Answers
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.scene import PointCloud
@@ -64,40 +64,31 @@ SURFACE = 0.05
 """Relative difference in depth up to which two pixels show one surface."""
 
 
-def audit_rows(
-    run: Path, dataset: str, scene: str, entries: Sequence[MethodEntry], seed: int
-) -> pd.DataFrame:
+def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> pd.DataFrame:
     """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling alone.
 
     Args:
-        run: the run's folder; its files are found by their usual names.
-        dataset: the scene's data set in the config.
-        scene: its name there.
+        answers: the scene's.
         entries: whose renders to judge; failed ones are passed over.
         seed: draws the random pixels.
     """
-    world = World(run, dataset, scene)
-    common = {"dataset": dataset, "scene": scene}
-    place = common | {"label": "{label}"}
-    renders = str(run / layout.RENDERS.format(**place))
-    folders = [(entry, Path(renders.format(label=entry.label))) for entry in entries]
+    folders = [(entry, answers.renders(entry.label)) for entry in entries]
     rendered = [
         (entry, folder)
         for entry, folder in folders
         if read_outcomes(folder / "render.json").get(ALL_CAMERAS, {}).get("status") == OK
     ]
-    depths = run / layout.DEPTHS.format(**common)
-    rows = list(_ceiling(world.scene))
-    for target in world.targets:
-        if target.split != "extrapolation" or world.depth(target) is None:
+    rows = list(_ceiling(answers.scene))
+    for target in answers.targets:
+        if target.split != "extrapolation" or answers.depth(target) is None:
             continue
-        rows += _reference_errors(world, target, depths)
-        scores, reads = _halves(world, target)
+        rows += _reference_errors(answers, target)
+        scores, reads = _halves(answers.scene, target)
         for entry, folder in rendered:
             preds = to_float(read_image(folder / f"{target.key}.png"))
             judged = [
-                *_agreement(world, target, preds),
-                *_random_support(world, target, preds, seed),
+                *_agreement(answers, target, preds),
+                *_random_support(answers, target, preds, seed),
             ]
             if entry.method not in ORACLES:
                 judged.append(_conditioning(preds, scores, reads))
@@ -105,7 +96,7 @@ def audit_rows(
             which = {"target": target.camera.name, "frame": target.frame}
             rows += [{**who, **which, **row} for row in judged]
     blank = {"method": "", "variant": "", "share": 1.0, "dense": np.nan}
-    filled = [{**common, **blank, **row} for row in rows]
+    filled = [{**answers.place, **blank, **row} for row in rows]
     return pd.DataFrame(filled, columns=list(AUDIT_TYPES)).astype(AUDIT_TYPES)
 
 
@@ -117,12 +108,12 @@ def _value(
     return metric.compute()
 
 
-def _agreement(world: World, target: Target, preds: np.ndarray) -> Iterator[dict[str, Any]]:
+def _agreement(answers: Answers, target: Target, preds: np.ndarray) -> Iterator[dict[str, Any]]:
     """Every sparse metric beside its twin, at all SHARES."""
     for share in SHARES:
-        answers = world.regions(target, share)
+        regions = answers.regions(target, share)
         for name, (kind, region) in TWINS.items():
-            sparse = answers[METRICS[name].region]
+            sparse, dense = regions[METRICS[name].region], regions[region]
             if sparse.mask.any():
                 yield {
                     "part": "agreement",
@@ -131,16 +122,16 @@ def _agreement(world: World, target: Target, preds: np.ndarray) -> Iterator[dict
                     "support_ratio": sparse.mask.mean(),
                     "pixels": int(sparse.mask.sum()),
                     "value": _value(METRICS[name].kind, preds, sparse.target, sparse.mask),
-                    "dense": _value(kind, preds, answers[region].target, answers[region].mask),
+                    "dense": _value(kind, preds, dense.target, dense.mask),
                 }
 
 
 def _random_support(
-    world: World, target: Target, preds: np.ndarray, seed: int
+    answers: Answers, target: Target, preds: np.ndarray, seed: int
 ) -> Iterator[dict[str, Any]]:
     """The metrics over random pixels of the dense truth: what support alone does to them."""
-    dense = world.regions(target)["dense"]
-    rank = Rng(seed, "support", world.scene.info.name, target.key).numpy.random(dense.mask.shape)
+    dense = answers.regions(target)["dense"]
+    rank = Rng(seed, "support", answers.scene.info.name, target.key).numpy.random(dense.mask.shape)
     for name in ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill"):
         whole = _value(TWINS[name][0], preds, dense.target, dense.mask)
         for share in SUPPORTS:
@@ -156,7 +147,7 @@ def _random_support(
             }
 
 
-def _reference_errors(world: World, target: Target, depths: Path) -> Iterator[dict[str, Any]]:
+def _reference_errors(answers: Answers, target: Target) -> Iterator[dict[str, Any]]:
     """Shares of reference pixels that are wrong, under either visibility rule, and what it costs.
 
     `leak`: the point lies behind everything that the truth shows in the 3 x 3 pixels around.
@@ -164,13 +155,14 @@ def _reference_errors(world: World, target: Target, depths: Path) -> Iterator[di
     the colour was mixed of. `wrong` is either. `psnr` is the reference against the truth, and
     `psnr_right` that of the pixels that are not wrong: what a perfect method would score.
     """
-    points = _scoring(world.scene, target.frame)
-    truth, depth = world.regions(target)["dense"].target, world.depth(target)
+    points = _scoring(answers.scene, target.frame)
+    truth, depth = answers.truth(target), answers.depth(target)
     farthest = np.where(depth > 0, depth, np.inf)
     farthest = np.lib.stride_tricks.sliding_window_view(
         np.pad(farthest, 1, mode="edge"), (3, 3)
     ).max(axis=(2, 3))
-    mixed = _mixed_colours(world.scene, points, target.frame, depths)
+    depths = read_depths(answers.path(layout.DEPTHS), target.frame)
+    mixed = _mixed_colours(answers.scene, points, target.frame, depths)
     for visibility in ("pixel", "footprint"):
         buffer = zbuffer(points.xyz, target.camera, visibility)
         valid = buffer.mask.copy()
@@ -200,21 +192,25 @@ def _reference_errors(world: World, target: Target, depths: Path) -> Iterator[di
             }
 
 
-def _mixed_colours(scene: Scene, points: PointCloud, frame: int, depths: Path) -> np.ndarray:
-    """(N,) bool: points whose colour was mixed of a pixel that shows another surface."""
+def _mixed_colours(
+    scene: Scene, points: PointCloud, frame: int, depths: dict[str, np.ndarray]
+) -> np.ndarray:
+    """(N,) bool: points whose colour was mixed of a pixel that shows another surface.
+
+    `depths` are those of the recorded views, (H, W) metres by camera, 0 = none.
+    """
     mixed = np.zeros(len(points), bool)
-    dense = read_depths(depths, frame)
     for number, name in enumerate(scene.cameras):
         of_camera = np.flatnonzero(points.camera == number)
         camera = scene.camera(name, frame)
         uv, depth = project_points(points.xyz[of_camera], camera)
         last = np.array([camera.width, camera.height]) - 2
         column, row = np.clip(np.floor(uv - 0.5), 0, last).astype(int).T
-        cell = np.stack([dense[name][row + down, column + right] for down, right in CELL])
+        cell = np.stack([depths[name][row + down, column + right] for down, right in CELL])
         cell[cell == 0] = np.inf
         beyond = depth < cell.min(axis=0) * (1 - SURFACE)
         hidden = depth > cell.max(axis=0) * (1 + SURFACE)
-        across, down = depth_edges(dense[name])
+        across, down = depth_edges(depths[name])
         torn = across[row, column] | across[row + 1, column] | down[row, column]
         mixed[of_camera] = hidden | beyond | torn | down[row, column + 1]
     return mixed
@@ -257,10 +253,10 @@ def _shown(points: PointCloud, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return image, mask
 
 
-def _halves(world: World, target: Target) -> tuple[tuple, tuple]:
+def _halves(scene: Scene, target: Target) -> tuple[tuple, tuple]:
     """The references of the points that score, and of those that methods may read."""
-    points = world.scene.points(target.frame)
-    scores = world.scene.info.rig.scores(points)
+    points = scene.points(target.frame)
+    scores = scene.info.rig.scores(points)
     return tuple(_shown(points.select(half), target.camera) for half in (scores, ~scores))
 
 

@@ -22,7 +22,10 @@ DEFAULT = "default"
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
-OUTCOME = {"status", "stage", "reason", "log", "threads", "peak_memory", "gpu_memory"}
+FINE = {"status": OK, "stage": "", "reason": "", "log": ""}
+"""How a step ended that went well (see `failed`)."""
+
+OUTCOME = {*FINE, "threads", "peak_memory", "gpu_memory"}
 """What `fit.json` and `render.json` say of every set of sources, besides costs."""
 
 
@@ -76,6 +79,16 @@ def label_of(method: str, variant: str = DEFAULT, seed: int = 0) -> str:
     """
     name = name_of(method, variant)
     return name if seed == 0 else f"{name}.seed{seed}"
+
+
+def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
+    """How a step ended that failed: at which stage, why in one line, and where its output is."""
+    return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
+
+
+def cause(outcome: dict[str, Any]) -> dict[str, Any]:
+    """What rows say of why they have no value: stage, reason and log, empty if all went well."""
+    return {name: outcome[name] for name in ("stage", "reason", "log")}
 
 
 def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import reason_of
 from geoevs.core.files import write_json
 
 
@@ -121,9 +121,7 @@ def _child(function: str, answer: str) -> None:
         write_json(Path(answer), reply)
     except Exception as error:
         traceback.print_exc()
-        kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
-        message = " ".join(str(error).split()) or "no message"
-        write_json(Path(answer), {"failure": kind + message})
+        write_json(Path(answer), {"failure": reason_of(error)})
 
 
 if __name__ == "__main__":

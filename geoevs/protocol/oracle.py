@@ -1,50 +1,64 @@
 """Controls that copy what scores a method, outside the adapter contract on purpose."""
 
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.methods.contract import Rendering
 from geoevs.protocol.entries import TRUTH
-from geoevs.protocol.reference import References
+from geoevs.protocol.render_step import render_targets
 from geoevs.protocol.targets import Target
-from geoevs.protocol.truth import dense_truth
-from geoevs.scenes.store import Scene
+from geoevs.run import Answers
 
 
-class Oracle:
-    """One of ORACLES.
+def oracle_step(
+    method: str, run: str, dataset: str, scene: str, sources: str, folder: str
+) -> dict[str, Any]:
+    """What `render_step` does for methods, for one of ORACLES: they alone open a scene's answers.
 
-    `reference` renders the sparse reference over the dense truth where there is one, else over
-    black: the ceiling of every sparse metric. `truth` renders the dense truth alone: what a perfect
-    method scores against a reference that has errors of its own.
+    Masked targets show the view without the mask.
+
+    Args:
+        method: which one.
+        run: the run's folder.
+        dataset: the scene's data set in the config.
+        scene: its name there.
+        sources: the set of sources whose targets to render.
+        folder: where `<target key>.png` go.
+
+    Returns:
+        The median seconds per view.
     """
+    answers = Answers(Path(run), dataset, scene)
 
-    def __init__(self, name: str, scene: str, references: str, truth: str) -> None:
-        self._name = name
-        self._scene = Scene(Path(scene))
-        self._references = References(Path(references))
-        self._truth = Path(truth)
+    def render(target: Target) -> Rendering:
+        return Rendering(oracle_picture(method, answers, target))
 
-    def render(self, target: Target) -> Rendering:
-        """Copy the answer to a target.
+    wanted = [target for target in answers.targets if target.sources == sources]
+    return render_targets(render, wanted, Path(folder))
 
-        Raises:
-            GeoEvsError: `truth` is asked for a target whose truth nobody knows.
-        """
-        dense = dense_truth(self._scene, self._truth, target)
-        if target.recorded:
-            return Rendering(dense)
-        if self._name == TRUTH:
-            if dense is None:
-                raise GeoEvsError(
-                    f"nobody knows the truth of {target.key}; set the control '{TRUTH}' to null "
-                    "under methods for recorded data"
-                )
-            return Rendering(dense)
-        reference = self._references[target.unmasked.key]
-        image = reference.image()
-        if dense is None:
-            return Rendering(image)
-        mask = reference.mask()
-        dense[mask] = image[mask]
-        return Rendering(dense)
+
+def oracle_picture(name: str, answers: Answers, target: Target) -> np.ndarray:
+    """(H, W, 3) float32 in [0, 1]: the answer to a target, copied.
+
+    `reference` shows the sparse reference over the dense truth where there is one, else over
+    black: the ceiling of every sparse metric. `truth` shows the dense truth alone: what a perfect
+    method scores against a reference that has errors of its own.
+
+    Raises:
+        GeoEvsError: `truth` is asked for a target whose truth nobody knows.
+    """
+    truth = answers.truth(target)
+    if name == TRUTH and truth is None:
+        raise GeoEvsError(
+            f"nobody knows the truth of {target.key}; set the control '{TRUTH}' to null under "
+            "methods for recorded data"
+        )
+    reference = None if name == TRUTH else answers.reference(target)
+    if reference is None:
+        return truth
+    if truth is None:
+        return reference.image()
+    return np.where(reference.mask()[..., None], reference.image(), truth)

@@ -13,8 +13,6 @@ from geoevs.methods.contract import MaskedAdapter, Rendering
 from geoevs.methods.finding import method_class
 from geoevs.protocol.clock import timed
 from geoevs.protocol.condition_masks import ConditionMasks
-from geoevs.protocol.entries import ORACLES
-from geoevs.protocol.oracle import Oracle
 from geoevs.protocol.targets import Target, read_targets
 
 
@@ -24,7 +22,6 @@ def render_step(
     sources: str,
     model: str,
     masks: str,
-    evidence: dict[str, str],
     folder: str,
     warm_up: bool = True,
 ) -> dict[str, Any]:
@@ -36,9 +33,8 @@ def render_step(
         method: its name.
         targets: the scene's target list.
         sources: the set of sources whose targets to render.
-        model: the saved method; unused by oracles.
-        masks: the scene's condition masks; oracles show the view without.
-        evidence: paths of the scene, references and truth; for oracles alone.
+        model: the saved method.
+        masks: the scene's condition masks.
         folder: where `<target key>.png` go.
         warm_up: whether one view is rendered before, which only seconds need.
 
@@ -46,29 +42,45 @@ def render_step(
         The median seconds per view.
     """
     wanted = [target for target in read_targets(Path(targets)) if target.sources == sources]
-    render: Callable[[Target], Rendering]
-    if method in ORACLES:
-        render = Oracle(method, **evidence).render
-    else:
-        adapter = method_class(method).load(Path(model))
-        if not isinstance(adapter, MaskedAdapter):
-            wanted = [target for target in wanted if not target.masked]
-        stored = ConditionMasks(Path(masks))
-        keeps = {target.key: stored[target.key].keep for target in wanted if target.masked}
+    adapter = method_class(method).load(Path(model))
+    if not isinstance(adapter, MaskedAdapter):
+        wanted = [target for target in wanted if not target.masked]
+    stored = ConditionMasks(Path(masks))
+    keeps = {target.key: stored[target.key].keep for target in wanted if target.masked}
 
-        def render(target: Target) -> Rendering:
-            if target.masked:
-                return adapter.render_masked(target.camera, target.frame, keeps[target.key])
-            return adapter.render(target.camera, target.frame)
+    def render(target: Target) -> Rendering:
+        if target.masked:
+            return adapter.render_masked(target.camera, target.frame, keeps[target.key])
+        return adapter.render(target.camera, target.frame)
 
+    return render_targets(render, wanted, Path(folder), warm_up)
+
+
+def render_targets(
+    render: Callable[[Target], Rendering], targets: list[Target], folder: Path, warm_up: bool = True
+) -> dict[str, Any]:
+    """Write what is rendered of targets, and say how long that took.
+
+    Args:
+        render: what is timed.
+        targets: one at least.
+        folder: where `<target key>.png` go.
+        warm_up: whether one view is rendered before.
+
+    Returns:
+        `render_seconds`, the median a view.
+
+    Raises:
+        GeoEvsError: a picture has another size or type, or pixels that are not finite.
+    """
     if warm_up:
-        render(wanted[0])
+        render(targets[0])
     seconds = []
-    for target in wanted:
+    for target in targets:
         with timed() as spent:
             rendering = render(target)
         seconds.append(spent.seconds)
-        write_image(Path(folder) / f"{target.key}.png", _checked(rendering, target))
+        write_image(folder / f"{target.key}.png", _checked(rendering, target))
     return {"render_seconds": statistics.median(seconds)}
 
 

@@ -11,9 +11,14 @@ from typing import Any
 
 from geoevs.core.files import new_folder, write_json
 from geoevs.methods.contract import Budget
-from geoevs.protocol.entries import FAILED, OK, ORACLES, MethodEntry, read_outcomes
+from geoevs.protocol.entries import FAILED, FINE, ORACLES, MethodEntry, failed, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
+
+# Named, not imported: no step's code counts for the others when the workflow hashes it.
+FIT_STEP = "geoevs.protocol.fit_step:fit_step"
+RENDER_STEP = "geoevs.protocol.render_step:render_step"
+ORACLE_STEP = "geoevs.protocol.oracle:oracle_step"
 
 
 def fit_method(
@@ -39,7 +44,7 @@ def fit_method(
                 "budget": asdict(budget),
                 "folder": str(model),
             }
-            outcome = _attempt("fit", arguments, budget.threads, log)
+            outcome = _attempt("fit", FIT_STEP, arguments, budget.threads, log)
             if outcome["status"] == FAILED and any(model.iterdir()):
                 outcome["reason"] += f"; what it saved is in {folder / sources / 'model'}"
             outcomes[sources] = outcome
@@ -51,11 +56,21 @@ def render_method(
     model: Path,
     targets: Path,
     masks: Path,
-    evidence: dict[str, str],
     folder: Path,
     log: Path,
+    answers: dict[str, str] | None = None,
 ) -> None:
-    """Render all targets with a fitted method; a set of sources whose fit failed stays failed."""
+    """Render all targets with a fitted method; a set of sources whose fit failed stays failed.
+
+    Args:
+        entry: the method, or one of ORACLES.
+        model: what `fit_method` left.
+        targets: the scene's target list.
+        masks: the scene's condition masks.
+        folder: what to write, whole or not at all.
+        log: where the method's own output goes.
+        answers: `run`, `dataset` and `scene` of its Answers, which oracles alone are told.
+    """
     log.unlink(missing_ok=True)
     fits = read_outcomes(model / "fit.json")
     with new_folder(folder) as partial:
@@ -64,34 +79,29 @@ def render_method(
             if fit["status"] == FAILED:
                 outcomes[sources] = fit
                 continue
-            arguments = {
-                "method": entry.method,
-                "targets": str(targets),
-                "sources": sources,
-                "model": str(model / sources / "model"),
-                "masks": str(masks),
-                "evidence": evidence,
-                "folder": str(partial),
-            }
-            rendered = _attempt("render", arguments, fit["threads"], log)
+            step, read = RENDER_STEP, {"targets": str(targets), "masks": str(masks)}
+            read["model"] = str(model / sources / "model")
+            if entry.method in ORACLES:
+                step, read = ORACLE_STEP, answers
+            arguments = {"method": entry.method, "sources": sources, "folder": str(partial), **read}
+            rendered = _attempt("render", step, arguments, fit["threads"], log)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
         write_json(partial / "render.json", outcomes)
 
 
-def _attempt(stage: str, arguments: dict[str, Any], threads: int, log: Path) -> dict[str, Any]:
+def _attempt(
+    stage: str, step: str, arguments: dict[str, Any], threads: int, log: Path
+) -> dict[str, Any]:
     try:
-        step = f"geoevs.protocol.{stage}_step:{stage}_step"
         result, usage = run_isolated(step, arguments, threads, log)
     except MethodFailedError as failure:
-        why = {"status": FAILED, "stage": stage, "reason": str(failure), "log": str(log)}
-        return {**why, "threads": threads, **asdict(Usage(0, 0))}
+        return {**failed(stage, str(failure), log), "threads": threads, **asdict(Usage(0, 0))}
     return _succeeded(result, usage, threads)
 
 
 def _succeeded(result: dict[str, Any], usage: Usage, threads: int) -> dict[str, Any]:
-    fine = {"status": OK, "stage": "", "reason": "", "log": ""}
-    return {**fine, "threads": threads, **asdict(usage), **result}
+    return {**FINE, "threads": threads, **asdict(usage), **result}
 
 
 def _source_sets(targets: Path) -> list[str]:

@@ -2,108 +2,26 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, to_float
-from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, cause, read_outcomes
 from geoevs.protocol.metrics import METRICS
-from geoevs.protocol.reference import References, SparseReference
+from geoevs.protocol.regions import Answer
 from geoevs.protocol.rows import COST_TYPES
-from geoevs.protocol.targets import Target, read_targets
-from geoevs.protocol.truth import dense_truth
+from geoevs.protocol.targets import Target
 from geoevs.protocol.weights import UNAVAILABLE
-from geoevs.scenes.store import Scene
+from geoevs.run import Answers
 
 THINNING = "reference-thinning"
 THINNED_METRICS = ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill", "sparse_mae")
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """Where the answers of one scene lie: store, target list, references, truth and masks."""
-
-    scene: Path
-    targets: Path
-    references: Path
-    truth: Path
-    masks: Path
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What one region of a target should look like, and which of its pixels count."""
-
-    target: np.ndarray  # [H, W, 3]
-    mask: np.ndarray  # [H, W] bool
-    support_ratio: float
-
-
-def regions(
-    reference: SparseReference | None, dense: np.ndarray | None, keep: float
-) -> dict[str, Answer]:
-    """The regions that metrics name (see METRICS), as far as this unmasked target has them.
-
-    Args:
-        reference: the sparse reference, of virtual targets.
-        dense: (H, W, 3) truth, where known.
-        keep: the share of reference pixels to keep.
-    """
-    found = {}
-    everywhere = None if dense is None else np.ones(dense.shape[:2], bool)
-    if reference is not None:
-        image, mask = reference.image(), reference.mask(keep)
-        masks = {
-            "reference": mask,
-            "reference-new": mask & ~reference.reprojected,
-            "reference-footprint": reference.footprint_mask(keep),
-        }
-        ratio = float(mask.mean())
-        found |= {name: Answer(image, region, ratio) for name, region in masks.items()}
-        if dense is not None:
-            found["dense"] = Answer(dense, everywhere, ratio)
-            found["dense-new"] = Answer(dense, ~reference.reprojected, ratio)
-            found["dense-supported"] = Answer(dense, reference.reprojected, ratio)
-    elif dense is not None:
-        found["dense"] = Answer(dense, everywhere, 1.0)
-    return found
-
-
-def masked_regions(
-    mask: ConditionMask, reference: SparseReference | None, dense: np.ndarray | None, keep: float
-) -> dict[str, Answer]:
-    """The regions of a masked target (see METRICS); support ratios are the degraded condition's.
-
-    Args:
-        mask: how its condition was degraded.
-        reference: the sparse reference, of extrapolated targets.
-        dense: (H, W, 3) truth, where known.
-        keep: the share of reference pixels to keep.
-    """
-    found = {}
-    ratio = float(mask.supported.mean())
-    if dense is not None:
-        pixels = {
-            "dense": np.ones(dense.shape[:2], bool),
-            "dense-supported": mask.supported,
-            "dense-removed": mask.removed,
-            "dense-never": ~mask.reprojected,
-            "dense-unsupported": ~mask.supported,
-        }
-        found |= {name: Answer(dense, region, ratio) for name, region in pixels.items()}
-    if reference is not None:
-        hidden = reference.mask(keep) & mask.removed
-        found["reference-removed"] = Answer(reference.image(), hidden, ratio)
-    return found
-
-
 def score_method(
-    entry: MethodEntry, evidence: Evidence, renders: Path, keeps: list[float], common: dict
+    entry: MethodEntry, answers: Answers, keeps: list[float], fingerprint: str
 ) -> list[dict[str, Any]]:
     """Score every target of a scene; a failed render gives rows that say so.
 
@@ -112,17 +30,17 @@ def score_method(
 
     Args:
         entry: who rendered.
-        evidence: the answers.
-        renders: the folder that `render_method` left.
+        answers: the scene's.
         keeps: shares of the reference to keep; the first gives the main rows, the others the
             sparsity split's.
-        common: columns that all rows share: dataset, scene, fingerprint.
+        fingerprint: of the protocol (see `protocol_fingerprint`).
     """
-    scene = Scene(evidence.scene)
-    references, masks = References(evidence.references), ConditionMasks(evidence.masks)
+    renders = answers.renders(entry.label)
     outcomes = read_outcomes(renders / "render.json")
+    common = {**answers.place, "fingerprint": fingerprint}
+    main, *thinned = keeps
     rows = []
-    for target in read_targets(evidence.targets):
+    for target in answers.targets:
         if target.sources not in outcomes:
             raise GeoEvsError(
                 f"{renders / 'render.json'} has no outcome for {target.sources}; delete its "
@@ -133,41 +51,30 @@ def score_method(
             continue
         failed = outcome["status"] == FAILED
         preds = None if failed else to_float(read_image(renders / f"{target.key}.png"))
-        reference = None if target.recorded else references[target.unmasked.key]
-        dense = dense_truth(scene, evidence.truth, target)
-        described = {
-            **common,
-            **describe(entry, target),
-            **{name: outcome[name] for name in ("stage", "reason", "log")},
-        }
-        main, *thinned = keeps
-        if target.masked:
-            answers = masked_regions(masks[target.key], reference, dense, main)
-        else:
-            answers = regions(reference, dense, main)
-        names = [name for name, spec in METRICS.items() if spec.region in answers]
+        described = {**common, **describe(entry, target), **cause(outcome)}
+        regions = answers.regions(target, main)
+        names = [name for name, spec in METRICS.items() if spec.region in regions]
         plain = {**described, "stressor": "", "level": math.nan}
-        rows += [{**plain, **score} for score in score_regions(names, preds, answers)]
+        rows += [{**plain, **score} for score in score_regions(names, preds, regions)]
         if target.split == "extrapolation":
             for keep in thinned:
-                answers = regions(reference, dense, keep)
                 stressed = {**described, "stressor": THINNING, "level": keep}
-                scores = score_regions(THINNED_METRICS, preds, answers)
+                scores = score_regions(THINNED_METRICS, preds, answers.regions(target, keep))
                 rows += [{**stressed, **score} for score in scores]
     return rows
 
 
 def score_regions(
-    names: Sequence[str], preds: np.ndarray | None, answers: dict[str, Answer]
+    names: Sequence[str], preds: np.ndarray | None, regions: dict[str, Answer]
 ) -> list[dict[str, Any]]:
     """What metrics say of one picture, or of none: parts of rows.
 
     Args:
-        names: of METRICS, whose regions `answers` has.
+        names: of METRICS, each of one of the regions.
         preds: (H, W, 3) in [0, 1]; None is a failed render.
-        answers: by region.
+        regions: what they should look like.
     """
-    return [_score(name, preds, answers[METRICS[name].region]) for name in names]
+    return [_score(name, preds, regions[METRICS[name].region]) for name in names]
 
 
 def describe(entry: MethodEntry, target: Target) -> dict[str, Any]:
@@ -201,7 +108,7 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
     return {**row, "value": value, "status": EMPTY_MASK if math.isnan(value) else OK}
 
 
-def cost_rows(entry: MethodEntry, renders: Path, common: dict) -> list[dict[str, Any]]:
+def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
     """What the method cost on this scene, one row for every set of sources."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
@@ -210,14 +117,15 @@ def cost_rows(entry: MethodEntry, renders: Path, common: dict) -> list[dict[str,
         "note": "",
     }
     identity = {"method": entry.method, "variant": entry.variant, "seed": entry.seed}
+    outcomes = read_outcomes(answers.renders(entry.label) / "render.json")
     return [
         {
             **blank,
-            **common,
+            **answers.place,
             **identity,
             **outcome,
             "sources": sources,
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }
-        for sources, outcome in read_outcomes(renders / "render.json").items()
+        for sources, outcome in outcomes.items()
     ]

@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoevs import layout
 from geoevs.core.files import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.set_metrics import SET_METRICS, SetMetric, real_floor, standardise
-from geoevs.protocol.targets import read_targets
-from geoevs.protocol.truth import dense_truth
 from geoevs.protocol.weights import UNAVAILABLE
-from geoevs.scenes.store import Scene
+from geoevs.run import Answers
 
 SET_SPLITS = ("observed", "interpolation", "extrapolation")
 SET_TYPES = {
@@ -51,14 +48,13 @@ def score_sets(
     pairs: dict[str, list[Pair]] = {split: [] for split in SET_SPLITS}
     failures: dict[str, list[str]] = {split: [] for split in SET_SPLITS}
     for scene in scenes:
-        where = {"dataset": dataset, "scene": scene}
-        store, truth = Scene(run / layout.SCENE.format(**where)), run / layout.TRUTH.format(**where)
-        renders = run / layout.RENDERS.format(label=entry.label, **where)
+        answers = Answers(run, dataset, scene)
+        renders = answers.renders(entry.label)
         outcomes = read_outcomes(renders / "render.json")
-        for target in read_targets(run / layout.TARGETS.format(**where)):
+        for target in answers.targets:
             if target.split not in SET_SPLITS:
                 continue
-            dense = dense_truth(store, truth, target)
+            dense = answers.truth(target)
             if dense is None:
                 continue
             outcome = outcomes[target.sources]

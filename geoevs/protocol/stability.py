@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.files import new_folder, write_json
-from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.protocol.entries import MethodEntry, failed
 from geoevs.protocol.isolate import MethodFailedError, run_isolated
 from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.protocol.targets import ALL_CAMERAS, Target
@@ -188,11 +188,6 @@ def render_stresses(
                 if not path.exists():
                     path.parent.mkdir(exist_ok=True)
                     write_json(path, failed("fit or render", str(failure), log))
-
-
-def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
-    """The outcome of a stress under which a method failed."""
-    return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:

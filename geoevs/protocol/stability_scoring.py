@@ -9,19 +9,18 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, read_json, to_float
-from geoevs.projection import unproject_depth
-from geoevs.protocol.entries import FAILED, OK, MethodEntry
+from geoevs.core.files import read_image, read_json, to_float
+from geoevs.geometry.moving import pixels_in_boxes
+from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
 from geoevs.protocol.metrics import METRICS
-from geoevs.protocol.reference import References
+from geoevs.protocol.regions import Answer
 from geoevs.protocol.rows import protocol_fingerprint, score_frame
-from geoevs.protocol.scoring import Answer, describe, regions, score_regions
+from geoevs.protocol.scoring import describe, score_regions
 from geoevs.protocol.stability import CLEAN, OUTCOME_FILE, Stress, levels_of, stresses
 from geoevs.protocol.stressors import STRESSORS, USUAL_METRICS
-from geoevs.protocol.targets import Target, read_targets
-from geoevs.protocol.truth import dense_truth
-from geoevs.scenes.camera import Camera
-from geoevs.scenes.store import Scene
+from geoevs.protocol.targets import Target
+from geoevs.run import Answers
+from geoevs.scenes.boxes import Box
 
 MOVING, STILL = "dense-moving", "dense-still"
 """Regions inside boxes of the cars that drive, and outside of them."""
@@ -35,36 +34,8 @@ SKY = 1e-6  # its inverse depth, 1 / metres
 BOX_MARGIN = 0.1  # metres around a car's box that still are its own, such as mirrors
 
 
-class World:
-    """The answers of a scene in one world, found under a run's folder by their usual names."""
-
-    def __init__(self, run: Path, dataset: str, scene: str) -> None:
-        place = {"dataset": dataset, "scene": scene}
-        self.scene = Scene(run / layout.SCENE.format(**place))
-        self.targets = read_targets(run / layout.TARGETS.format(**place))
-        self._references = References(run / layout.REFERENCES.format(**place))
-        self._truth = run / layout.TRUTH.format(**place)
-
-    def regions(self, target: Target, keep: float = 1.0) -> dict[str, Answer]:
-        """What a target should look like, by region (see METRICS of the protocol).
-
-        `keep` is the share of the reference's pixels that is kept.
-        """
-        dense = dense_truth(self.scene, self._truth, target)
-        return regions(self._references[target.key], dense, keep)
-
-    def depth(self, target: Target) -> np.ndarray | None:
-        """(H, W) true depth of a target in metres, 0 = none; None where nobody knows it."""
-        path = self._truth / f"{target.key}.npz"
-        return read_arrays(path)["depth"] if path.exists() else None
-
-    def reprojected(self, target: Target) -> np.ndarray:
-        """(H, W) bool: pixels that raw reprojection of the clean scene supports."""
-        return self._references[target.key].reprojected
-
-
 def score_stresses(
-    entry: MethodEntry, group: str, run: Path, dataset: str, scene: str, settings: dict[str, Any]
+    entry: MethodEntry, group: str, clean: Answers, settings: dict[str, Any]
 ) -> pd.DataFrame:
     """Score what `render_stresses` left of one group, as SCORE_TYPES says.
 
@@ -75,31 +46,27 @@ def score_stresses(
     Args:
         entry: who rendered.
         group: a stressor, or CLEAN.
-        run: the run's folder.
-        dataset: the scene's data set in the config.
-        scene: the clean scene's name there.
+        clean: of the clean scene.
         settings: the config's `stability` section.
     """
-    place = {"dataset": dataset, "scene": scene}
-    renders = run / layout.STABILITY_RENDERS.format(**place, group=group, label=entry.label)
-    clean = World(run, dataset, scene)
     fingerprint = protocol_fingerprint(clean.scene, {"lateral": settings["lateral"]})
-    common = {**place, "fingerprint": fingerprint}
+    common = {**clean.place, "fingerprint": fingerprint}
+    renders = clean.path(layout.STABILITY_RENDERS, group=group, label=entry.label)
     rows = []
     for stress in stresses(group, settings):
-        moved = stress.kind == "world"
-        world = World(run, dataset, stress.world(scene)) if moved else clean
+        world = clean
+        if stress.kind == "world":
+            world = Answers(clean.run, clean.dataset, stress.world(clean.name))
         folder = renders / stress.key
         outcome = read_json(folder / OUTCOME_FILE)
-        ending = {name: outcome[name] for name in ("stage", "reason", "log")}
         for target in world.targets:
             if group != CLEAN and target.split != "extrapolation":
                 continue
             failed = outcome["status"] == FAILED
             preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
-            shared = {**common, **describe(entry, target), **ending, "seed": stress.draw}
-            for columns, names, answers in _questions(stress, world, clean, target, settings):
-                scores = score_regions(names, preds, answers)
+            shared = {**common, **describe(entry, target), **cause(outcome), "seed": stress.draw}
+            for columns, names, regions in _questions(stress, world, clean, target, settings):
+                scores = score_regions(names, preds, regions)
                 rows += [{**shared, **columns, **score} for score in scores]
     if group == CLEAN:
         rows += _spread_rows(entry, clean, renders, settings, common)
@@ -107,10 +74,10 @@ def score_stresses(
 
 
 def _questions(
-    stress: Stress, world: World, clean: World, target: Target, settings: dict[str, Any]
+    stress: Stress, world: Answers, clean: Answers, target: Target, settings: dict[str, Any]
 ) -> Iterator[tuple[dict[str, Any], tuple[str, ...], dict[str, Answer]]]:
-    """What is asked of one picture: columns `stressor` and `level`, metrics, and their answers."""
-    answers = world.regions(target)
+    """What is asked of one picture: columns `stressor` and `level`, metrics, and their regions."""
+    regions = world.regions(target)
     columns = {"stressor": stress.stressor, "level": stress.level}
     if target.split == "lateral":
         columns = {"stressor": "lateral", "level": abs(target.lateral_shift)}
@@ -120,30 +87,30 @@ def _questions(
     names = stressor.metrics if stressor else USUAL_METRICS
     depth = world.depth(target)
     if depth is not None and {MOVING, STILL} & {METRICS[name].region for name in names}:
-        answers |= _by_motion(world, clean, target, depth, answers["dense"])
-    yield columns, _known(names, answers) or _known(USUAL_METRICS, answers), answers
+        regions |= _by_motion(world, clean, target, depth, regions["dense"])
+    yield columns, _known(names, regions) or _known(USUAL_METRICS, regions), regions
     if stress.kind == CLEAN and target.split == "extrapolation" and depth is not None:
         distance = edge_distance(depth)
-        dense = answers["dense"]
+        dense = regions["dense"]
         for level in levels_of("edges", settings):
             band = {"dense": Answer(dense.target, distance <= level, dense.support_ratio)}
             yield {"stressor": "edges", "level": level}, STRESSORS["edges"].metrics, band
 
 
-def _known(names: tuple[str, ...], answers: dict[str, Answer]) -> tuple[str, ...]:
+def _known(names: tuple[str, ...], regions: dict[str, Answer]) -> tuple[str, ...]:
     """The metrics whose regions have an answer."""
-    return tuple(name for name in names if METRICS[name].region in answers)
+    return tuple(name for name in names if METRICS[name].region in regions)
 
 
 def _by_motion(
-    world: World, clean: World, target: Target, depth: np.ndarray, dense: Answer
+    world: Answers, clean: Answers, target: Target, depth: np.ndarray, dense: Answer
 ) -> dict[str, Answer]:
     """Every pixel's answer, split by whether a car that drives in the clean scene fills it."""
     tracks = clean.scene.tracks
     cars = tracks[tracks["moving"] & (tracks["label"] == "car")]["track"].unique()
-    boxes = world.scene.tracks
-    boxes = boxes[boxes["track"].isin(cars) & (boxes["frame"] == target.frame)]
-    inside = in_boxes(depth, target.camera, boxes)
+    tracks = world.scene.tracks
+    boxes = Box.rows(tracks[tracks["track"].isin(cars) & (tracks["frame"] == target.frame)])
+    inside = pixels_in_boxes(depth, target.camera, boxes, BOX_MARGIN)
     return {
         MOVING: Answer(dense.target, inside, dense.support_ratio),
         STILL: Answer(dense.target, ~inside, dense.support_ratio),
@@ -187,30 +154,9 @@ def _edges_down(inverse: np.ndarray) -> np.ndarray:
     return (np.abs(step) > least) & (np.minimum(bend[1:], bend[:-1]) > least)
 
 
-def in_boxes(depth: np.ndarray, camera: Camera, boxes: pd.DataFrame) -> np.ndarray:
-    """(H, W) bool: pixels whose surface lies in one of the boxes (see TRACK_COLUMNS).
-
-    Args:
-        depth: (H, W) true depth of the view in metres, 0 = none.
-        camera: the view.
-        boxes: of its frame.
-    """
-    points, pixels = unproject_depth(depth, camera)
-    inside = np.zeros(len(points), bool)
-    for box in boxes.itertuples():
-        cos, sin = np.cos(np.radians(box.yaw)), np.sin(np.radians(box.yaw))
-        away = points - [box.x, box.y, box.z]
-        local = np.stack([away @ [cos, sin, 0], away @ [-sin, cos, 0], away[:, 2]], axis=1)
-        half = np.array([box.length, box.width, box.height]) / 2 + BOX_MARGIN
-        inside |= (np.abs(local) <= half).all(axis=1)
-    mask = np.zeros(depth.size, bool)
-    mask[pixels] = inside
-    return mask.reshape(depth.shape)
-
-
 def _spread_rows(
     entry: MethodEntry,
-    clean: World,
+    clean: Answers,
     renders: Path,
     settings: dict[str, Any],
     common: dict[str, str],
@@ -226,23 +172,20 @@ def _spread_rows(
             continue
         pictures = [to_float(read_image(folder / f"{target.key}.png")) for folder in folders]
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
-        supported = clean.reprojected(target)
+        supported = clean.reference(target).reprojected
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):
             rows.append(
                 {
                     **common,
                     **describe(entry, target),
+                    **FINE,
                     "seed": 0,
                     "metric": name,
                     "stressor": CLEAN,
                     "level": 0.0,
-                    "status": OK,
                     "support_ratio": supported.mean(),
                     "valid_pixels": int(region.sum()),
                     "value": float(spread[region].mean()) if region.any() else np.nan,
-                    "stage": "",
-                    "reason": "",
-                    "log": "",
                 }
             )
     return rows

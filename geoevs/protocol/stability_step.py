@@ -6,12 +6,12 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import reason_of
 from geoevs.core.files import write_json
-from geoevs.protocol.entries import OK
+from geoevs.protocol.entries import FINE, failed
 from geoevs.protocol.fit_step import fit_step
 from geoevs.protocol.render_step import render_step
-from geoevs.protocol.stability import OUTCOME_FILE, failed
+from geoevs.protocol.stability import OUTCOME_FILE
 from geoevs.protocol.targets import ALL_CAMERAS, read_targets, write_targets
 
 
@@ -50,7 +50,7 @@ def stability_step(
                 shutil.copytree(certain[stress["scene"]], place)
                 continue
             place.mkdir()
-            outcome = {"status": OK, "stage": "", "reason": "", "log": ""}
+            outcome = FINE
             stage = "fit"
             try:
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
@@ -59,11 +59,10 @@ def stability_step(
                     fit = fit_step(stress["scene"], method, options, *arguments)
                     stage = "render"
                     views = (str(target_list), ALL_CAMERAS)
-                    render_step(method, *views, model, masks, {}, str(place), warm_up=False)
+                    render_step(method, *views, model, masks, str(place), warm_up=False)
                 if not fit["random"]:
                     certain[stress["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
-                kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
-                outcome = failed(stage, kind + " ".join(str(error).split()), log)
+                outcome = failed(stage, reason_of(error), log)
             write_json(place / OUTCOME_FILE, outcome)

@@ -7,7 +7,7 @@ from pathlib import Path
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
-from geoevs.scenes.camera import Camera, angle_between
+from geoevs.scenes.camera import Camera, angle_between, view_key
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
@@ -47,8 +47,8 @@ class Target:
 
     @property
     def key(self) -> str:
-        """Name of the target within its scene, usable as a path: `<camera>/<frame>`."""
-        return f"{self.camera.name}/{self.frame:06d}"
+        """Name of the target within its scene, usable as a path (see `view_key`)."""
+        return view_key(self.camera.name, self.frame)
 
     @property
     def recorded(self) -> bool:

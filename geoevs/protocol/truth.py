@@ -1,21 +1,11 @@
-"""Dense truth of a target: a recorded image, or a rendered one that no method may see."""
+"""Dense truth at targets that no camera recorded, which no method may see."""
 
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
-from geoevs.core.files import (
-    new_folder,
-    read_image,
-    to_float,
-    write_arrays,
-    write_image,
-    write_json,
-)
+from geoevs.core.files import new_folder, write_arrays, write_image, write_json
 from geoevs.protocol.targets import Target, virtual_targets
 from geoevs.scenes.scene import SceneRef, SceneSource
-from geoevs.scenes.store import Scene
 
 
 def write_truth(
@@ -45,14 +35,3 @@ def write_truth(
             write_arrays(partial / f"{target.key}.npz", {"depth": truth.depth})
             advance()
         write_json(partial / "truth.json", [target.key for target in virtual])
-
-
-def dense_truth(scene: Scene, truth: Path, target: Target) -> np.ndarray | None:
-    """(H, W, 3) float32 of a target's true pixels, or None where nobody knows them."""
-    target = target.unmasked
-    if target.split == "observed":
-        return scene.image(target.camera.name, target.frame)
-    if target.split == "interpolation":
-        return scene.image(scene.info.rig.front, target.frame)
-    path = truth / f"{target.key}.png"
-    return to_float(read_image(path)) if path.exists() else None

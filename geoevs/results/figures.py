@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from geoevs import layout
 from geoevs.core.files import encode_png, read_image, to_uint8
-from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
-from geoevs.protocol.reference import References, SparseReference
-from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target, read_targets
-from geoevs.protocol.truth import dense_truth
+from geoevs.protocol.condition_masks import ConditionMask
+from geoevs.protocol.reference import SparseReference
+from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target
 from geoevs.results.table_specs import TableSpec, table_spec
-from geoevs.scenes.store import Scene
+from geoevs.run import Answers
 
 TILE_WIDTH = 256
 MARGIN = 4
@@ -57,32 +55,27 @@ def table_grid(
         count: show this many random targets, the same ones every time, in place of a few telling.
     """
     spec = table_spec(table)
-    targets = []
-    for dataset, scene in scenes:
-        found = read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
-        targets.append([target for target in found if target.split in spec.splits])
+    places = [Answers(run, *place) for place in scenes]
+    targets = [
+        [target for target in answers.targets if target.split in spec.splits] for answers in places
+    ]
     if count is None:
         shown = [_pick(table, candidates, keeps) for candidates in targets]
     else:
         shown = [[(target, keeps[0]) for target in some] for some in _sample(targets, count)]
     rows = []
-    for (dataset, scene), picked in zip(scenes, shown, strict=True):
-        evidence = Evidence(run, dataset, scene)
+    for answers, picked in zip(places, shown, strict=True):
         for target, keep in picked:
-            pictures = [evidence.truth(target)]
+            pictures = [truth_picture(answers, target)]
             if target.masked:
-                pictures.append(mask_picture(evidence.mask(target)))
+                pictures.append(mask_picture(answers.mask(target)))
             elif not target.recorded:
-                reference = evidence.reference(target)
+                reference = answers.reference(target)
                 image = reference.image() * reference.mask(keep)[..., None]
                 pictures += [_thicken(to_uint8(image)), validity_picture(reference, keep)]
-            where = {"dataset": dataset, "scene": scene}
-            renders = [
-                _read_render(run / layout.RENDERS.format(label=label, **where), target)
-                for label in labels
-            ]
+            renders = [_read_render(answers.renders(label), target) for label in labels]
             share = "" if table != "sparsity" else f", {keep:.0%} of reference"
-            name = f"{scene}, frame {target.frame}, {target.camera.name}{share}"
+            name = f"{answers.name}, frame {target.frame}, {target.camera.name}{share}"
             rows.append(Row(name, [*pictures, *renders]))
     columns = [*_evidence_names(spec), *labels]
     used = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
@@ -90,28 +83,10 @@ def table_grid(
     return encode_png(draw_grid([columns[k] for k in used], rows))
 
 
-class Evidence:
-    """What a scene's targets are judged by, found under a run's folder by its usual names."""
-
-    def __init__(self, run: Path, dataset: str, scene: str) -> None:
-        where = {"dataset": dataset, "scene": scene}
-        self._scene = Scene(run / layout.SCENE.format(**where))
-        self._references = References(run / layout.REFERENCES.format(**where))
-        self._masks = ConditionMasks(run / layout.MASKS.format(**where))
-        self._truth = run / layout.TRUTH.format(**where)
-
-    def truth(self, target: Target) -> np.ndarray | None:
-        """(H, W, 3) uint8: the target's true pixels, or None where nobody knows them."""
-        dense = dense_truth(self._scene, self._truth, target)
-        return None if dense is None else to_uint8(dense)
-
-    def reference(self, target: Target) -> SparseReference:
-        """The sparse reference of a target that no camera recorded, masked or not."""
-        return self._references[target.unmasked.key]
-
-    def mask(self, target: Target) -> ConditionMask:
-        """How a masked target's condition was degraded."""
-        return self._masks[target.key]
+def truth_picture(answers: Answers, target: Target) -> np.ndarray | None:
+    """(H, W, 3) uint8: the target's true pixels, or None where nobody knows them."""
+    truth = answers.truth(target)
+    return None if truth is None else to_uint8(truth)
 
 
 def validity_picture(reference: SparseReference, keep: float = 1.0) -> np.ndarray:

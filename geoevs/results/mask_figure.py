@@ -9,12 +9,10 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from geoevs import layout
 from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.core.files import encode_png
-from geoevs.protocol.reference import References
-from geoevs.protocol.targets import read_targets
 from geoevs.results.figures import BACKGROUND, HEADER, INK, MARGIN, UNSUPPORTED
+from geoevs.run import Answers
 
 COLUMNS, ROWS = 6, 4
 TILE_WIDTH = 192
@@ -31,15 +29,12 @@ def target_support(run: Path, scenes: Sequence[tuple[str, str]]) -> np.ndarray:
         run: the run's folder.
         scenes: (dataset, scene) pairs.
     """
-    support = []
-    for dataset, scene in scenes:
-        where = {"dataset": dataset, "scene": scene}
-        references = References(run / layout.REFERENCES.format(**where))
-        support += [
-            references[target.key].reprojected.mean()
-            for target in read_targets(run / layout.TARGETS.format(**where))
-            if target.split == "extrapolation"
-        ]
+    support = [
+        answers.reference(target).reprojected.mean()
+        for answers in (Answers(run, *place) for place in scenes)
+        for target in answers.targets
+        if target.split == "extrapolation"
+    ]
     return np.array(support)
 
 

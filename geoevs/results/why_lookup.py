@@ -15,6 +15,7 @@ from geoevs.core.files import read_json, whole_file
 from geoevs.protocol.entries import DEFAULT, MethodEntry, label_of, name_of
 from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
+from geoevs.scenes.camera import view_key
 
 SHOWN = 3
 """How many of the worst and of the best views are named."""
@@ -165,9 +166,9 @@ class Record:
             (row.dataset, row.scene, label_of(row.method, row.variant, row.seed)) for row in rows
         )
         return [
-            self.path(f"logs/{step}/{{dataset}}/{{scene}}/{{label}}.log", *fit)
+            self.path(pattern, *fit)
             for fit in fits
-            for step in ("fit", "render")
+            for pattern in (layout.FIT_LOG, layout.RENDER_LOG)
         ]
 
     def extremes(self, rows: pd.DataFrame) -> Iterator[str]:
@@ -175,7 +176,7 @@ class Record:
         for title, row in ranked(rows):
             label = label_of(row.method, row.variant, row.seed)
             folder = self.path(layout.RENDERS, row.dataset, row.scene, label)
-            yield f"{title:9} {row.value:.4g}: {folder}/{row.target}/{row.frame:06d}.png"
+            yield f"{title:9} {row.value:.4g}: {folder}/{view_key(row.target, row.frame)}.png"
 
     def pictures(self, dataset: str, label: str) -> Iterator[str]:
         """Where an entrant's pictures lie, and what scored them."""

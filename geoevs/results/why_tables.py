@@ -13,6 +13,7 @@ from geoevs.results import ablation, complexity, costs, geometry_table, rank_agr
 from geoevs.results.paper import paper_values
 from geoevs.results.table_specs import table_spec
 from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
+from geoevs.scenes.camera import view_key
 
 COST_COLUMNS = {"peak_memory_mb": "peak_memory", "gpu_memory_mb": "gpu_memory", "size_mb": "bytes"}
 """Columns of the cost table that are millions of bytes of a cost row's column."""
@@ -82,9 +83,9 @@ def why_geometry(cell: Cell, record: Record) -> Found:
     terms = terms_of(dataset=dataset, model=model, stage=stages, scale=scale, metric=metric)
     rows = Rows.of(layout.DEPTH_SCORES, scores, terms)
     shown = list(ranked(rows.rows[rows.rows["stage"] == stage]))
-    photos = record.path(layout.SCENE, dataset, "{}") + "/images/{}/{:06d}.png"
     views = [
-        f"{title:9} {row.value:.4g}: {photos.format(row.scene, row.camera, row.frame)}"
+        f"{title:9} {row.value:.4g}: {record.path(layout.SCENE, dataset, row.scene)}/images/"
+        f"{view_key(row.camera, row.frame)}.png"
         for title, row in shown
     ]
     seen = dict.fromkeys(row.scene for _, row in shown)
@@ -97,9 +98,7 @@ def why_geometry(cell: Cell, record: Record) -> Found:
         [*learnt, f"tables: {record.config['tables']}"],
         [record.path(layout.DEPTH_SCORE_PART, dataset, scene) for scene in scenes],
         rules=("depth_scores_of_scene",),
-        logs=[
-            record.path("logs/depth-scores/{dataset}/{scene}.log", dataset, scene) for scene in seen
-        ],
+        logs=[record.path(layout.DEPTH_SCORE_LOG, dataset, scene) for scene in seen],
     )
 
 

@@ -47,10 +47,16 @@ class Box(NamedTuple):
     def holds(
         self,
         points: np.ndarray,  # [N, 3] in the world
+        margin: float = 0.0,
     ) -> np.ndarray:
-        """(N,) bool: the points inside, its surface included."""
-        half = np.array([self.length, self.width, self.height]) / 2
+        """(N,) bool: the points inside, or at most `margin` metres beyond a face."""
+        half = np.array([self.length, self.width, self.height]) / 2 + margin
         return (np.abs(self.local(points)) <= half).all(axis=1)
+
+    def scaled(self, factor: float) -> Self:
+        """The box about the same centre, its sides multiplied."""
+        length, width, height = (factor * side for side in (self.length, self.width, self.height))
+        return self._replace(length=length, width=width, height=height)
 
     @property
     def _centre(self) -> np.ndarray:

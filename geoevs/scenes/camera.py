@@ -9,6 +9,15 @@ from geoevs.core.errors import GeoEvsError
 RIGID_TOLERANCE = 1e-4
 
 
+def view_key(camera: str, frame: int) -> str:
+    """What a view is called in every folder of pictures: `<camera>/<frame>`.
+
+    >>> view_key("front", 7)
+    'front/000007'
+    """
+    return f"{camera}/{frame:06d}"
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera at one instant.

@@ -28,7 +28,7 @@ from geoevs.core.files import (
     write_image,
     write_json,
 )
-from geoevs.scenes.camera import Camera
+from geoevs.scenes.camera import Camera, view_key
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
 
 # nerfstudio's cameras are OpenGL's: y up, z backward.
@@ -84,7 +84,7 @@ def write_scene(
         for frame in frames:
             _check_frame(info, frame)
             for name in info.cameras:
-                path = f"images/{name}/{frame.frame:06d}.png"
+                path = f"images/{view_key(name, frame.frame)}.png"
                 write_image(partial / path, frame.images[name])
                 entries.append(
                     {

@@ -78,6 +78,25 @@ def test_code_that_is_not_imported_does_not_count(copy, file):
     assert fresh(FIT) == before
 
 
+def test_a_new_path_remakes_nothing(copy):
+    root, fresh = copy
+    scoring = "geoevs.protocol.scoring"
+    before = fresh(scoring)
+    append(root / "geoevs/layout.py", '\nADDED = "somewhere/{scene}"\n')
+    assert fresh(scoring) == before
+    append(root / "geoevs/run.py", "\nADDED = 1\n")
+    assert fresh(scoring) != before
+
+
+def test_only_the_oracles_renders_hang_on_the_answers(copy):
+    root, fresh = copy
+    steps = ("geoevs.protocol.render_step", "geoevs.protocol.runs")
+    before, copied = fresh(*steps), fresh("geoevs.protocol.oracle")
+    append(root / "geoevs/run.py", "\nADDED = 1\n")
+    assert fresh(*steps) == before
+    assert fresh("geoevs.protocol.oracle") != copied
+
+
 def test_a_method_counts_where_it_is_named(copy):
     root, fresh = copy
     method = find_methods()["reproject-inpaint"]

@@ -1,4 +1,4 @@
-"""A scene with its evidence, and methods that misbehave, here and in isolated processes."""
+"""A scene with its answers, and methods that misbehave, here and in isolated processes."""
 
 import os
 import textwrap
@@ -9,6 +9,7 @@ from typing import ClassVar
 import pytest
 
 import baselines
+from geoevs import layout
 from geoevs.core.files import read_json
 from geoevs.methods.contract import Budget
 from geoevs.methods.tiny import tiny_truth, write_tiny_scene
@@ -17,9 +18,9 @@ from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.runs import fit_method, render_method
-from geoevs.protocol.scoring import Evidence
 from geoevs.protocol.targets import Target, make_targets, write_targets
 from geoevs.protocol.truth import write_truth
+from geoevs.run import Answers
 from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.store import Scene
 
@@ -28,6 +29,8 @@ PROTOCOL = {
     "pose_sweep": {"angles": [10.0], "every": 2},
     "masked": {"yaw": [15.0, 20.0], "lateral": [-2.0, 2.0], "every": 2},
 }
+
+ANSWERS = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.TRUTH, layout.MASKS)
 
 TEMPLATE = """
 import os, signal
@@ -85,15 +88,19 @@ def toy(tmp_path_factory, monkeypatch):
 
 @pytest.fixture
 def attempt(stage, tmp_path):
-    """Fits and renders a method on one split's targets of frame 0; gives both outcomes."""
+    """Fits and renders a method on one split's targets of frame 0; gives both outcomes.
 
-    def run(method: str, *splits: str, evidence=None):
+    Oracles are told whose answers to copy.
+    """
+
+    def run(method: str, *splits: str, answers: Answers | None = None):
         targets = stage.keep(tmp_path / "targets.json", *(splits or ("extrapolation",)))
-        entry, scene, log = MethodEntry(method), stage.folder / "scene", tmp_path / "fit.log"
+        entry, scene, log = MethodEntry(method), stage.store.folder, tmp_path / "fit.log"
         fit_method(entry, scene, targets, Budget(threads=1), tmp_path / "model", log)
-        seen = (targets, stage.evidence.masks, evidence or {})
+        seen = (targets, stage.answers.path(layout.MASKS))
         folders = (tmp_path / "renders", tmp_path / "render.log")
-        render_method(entry, tmp_path / "model", *seen, *folders)
+        told = answers and {"run": str(answers.run), **answers.place}
+        render_method(entry, tmp_path / "model", *seen, *folders, told)
         names = ("model/fit.json", "renders/render.json")
         return tuple(read_json(tmp_path / name) for name in names)
 
@@ -102,36 +109,45 @@ def attempt(stage, tmp_path):
 
 @dataclass(frozen=True)
 class Stage:
-    """The tiny scene with targets, references, truth and masks on disk."""
+    """A run of the tiny scene: its targets, references, truth and masks on disk."""
 
-    folder: Path
-    store: Scene
+    answers: Answers
     targets: list[Target]
 
     protocol: ClassVar[dict] = PROTOCOL
 
     @property
-    def evidence(self) -> Evidence:
-        names = ("scene", "targets.json", "references.npz", "truth", "masks.npz")
-        return Evidence(*(self.folder / name for name in names))
+    def store(self) -> Scene:
+        return self.answers.scene
 
     def keep(self, path: Path, *splits: str) -> Path:
         """Write the targets of some splits, of frame 0 alone, so that steps are quick."""
         write_targets(path, [t for t in self.targets if t.split in splits and t.frame == 0])
         return path
 
+    def linked(self, run: Path, *without: str) -> Answers:
+        """The answers in a run of its own, all the same files but those of some patterns."""
+        answers = Answers(run, **self.answers.place)
+        for pattern in ANSWERS:
+            if pattern not in without:
+                answers.path(pattern).parent.mkdir(parents=True, exist_ok=True)
+                answers.path(pattern).symlink_to(self.answers.path(pattern))
+        return answers
+
 
 @pytest.fixture(scope="session")
 def stage(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("stage")
-    store = write_tiny_scene(folder / "scene")
+    answers = Answers(tmp_path_factory.mktemp("stage"), "d", "s")
+    store = write_tiny_scene(answers.path(layout.SCENE))
     targets = make_targets(store, PROTOCOL, seed=0)
-    write_targets(folder / "targets.json", targets)
+    write_targets(answers.path(layout.TARGETS), targets)
     reprojection = RawReprojection(store)
-    write_records(folder / "references.npz", make_references(store, targets, reprojection, seed=0))
-    write_records(folder / "masks.npz", make_condition_masks(targets, reprojection))
-    write_truth(folder / "truth", TinySource(), SceneRef("tiny"), targets, lambda: None)
-    return Stage(folder, store, targets)
+    references = make_references(store, targets, reprojection, seed=0)
+    write_records(answers.path(layout.REFERENCES), references)
+    write_records(answers.path(layout.MASKS), make_condition_masks(targets, reprojection))
+    truth = answers.path(layout.TRUTH)
+    write_truth(truth, TinySource(), SceneRef("tiny"), targets, lambda: None)
+    return Stage(answers, targets)
 
 
 @pytest.fixture

@@ -8,12 +8,8 @@ from geoevs.core.files import write_arrays, write_image, write_json
 from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
 from geoevs.protocol.entries import MethodEntry
-from geoevs.protocol.records import write_records
-from geoevs.protocol.reference import References
 from geoevs.protocol.targets import write_targets
-from geoevs.protocol.truth import dense_truth
 
-PLACE = {"dataset": "d", "scene": "tiny"}
 FINE = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
 FINE |= {"peak_memory": 0, "gpu_memory": 0}
 
@@ -21,25 +17,19 @@ FINE |= {"peak_memory": 0, "gpu_memory": 0}
 @pytest.fixture(scope="module")
 def rows(stage, tmp_path_factory):
     """Rows of a perfect method, of one that is 0.1 brighter, and of one that failed."""
-    run = tmp_path_factory.mktemp("run")
+    answers = stage.linked(tmp_path_factory.mktemp("run"), layout.TARGETS)
     targets = [t for t in stage.targets if t.split == "extrapolation" and t.frame == 0]
-    write_targets(run / layout.TARGETS.format(**PLACE), targets)
-    stored = References(stage.evidence.references)
-    write_records(run / layout.REFERENCES.format(**PLACE), {t.key: stored[t.key] for t in targets})
-    for pattern, name in ((layout.SCENE, "scene"), (layout.TRUTH, "truth")):
-        path = run / pattern.format(**PLACE)
-        path.parent.mkdir(parents=True)
-        path.symlink_to(stage.folder / name)
+    write_targets(answers.path(layout.TARGETS), targets)
     depths = {n: tiny_truth(stage.store.camera(n, 0)).depth for n in stage.store.cameras}
-    write_arrays(run / layout.DEPTHS.format(**PLACE) / "000000.npz", depths)
+    write_arrays(answers.path(layout.DEPTHS) / "000000.npz", depths)
     for method, status in (("perfect", "ok"), ("bright", "ok"), ("gone", "failed")):
-        renders = run / layout.RENDERS.format(label=method, **PLACE)
+        renders = answers.renders(method)
         write_json(renders / "render.json", {"all-cameras": {**FINE, "status": status}})
         for target in targets:
-            truth = dense_truth(stage.store, stage.folder / "truth", target)
-            write_image(renders / f"{target.key}.png", truth + 0.1 * (method == "bright"))
+            picture = answers.truth(target) + 0.1 * (method == "bright")
+            write_image(renders / f"{target.key}.png", picture)
     entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
-    return audit_rows(run, "d", "tiny", entries, seed=0)
+    return audit_rows(answers, entries, seed=0)
 
 
 def test_every_metric_stands_beside_its_twin(rows):

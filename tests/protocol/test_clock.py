@@ -11,9 +11,10 @@ def triple(x):
 
 
 def test_a_block_takes_its_time():
+    start = time.perf_counter()
     with timed() as spent:
         time.sleep(0.05)
-    assert 0.05 <= spent.seconds < 1
+    assert 0.05 <= spent.seconds <= time.perf_counter() - start
     assert spent.compiling == 0
 
 

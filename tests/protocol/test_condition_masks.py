@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geoevs import layout
 from geoevs.core.files import read_arrays, read_image, to_uint8, write_image, write_json
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, Views
@@ -17,13 +18,12 @@ from geoevs.protocol.condition_masks import (
     make_condition_masks,
 )
 from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.regions import masked_regions
 from geoevs.protocol.rows import score_frame
-from geoevs.protocol.scoring import masked_regions, score_method
+from geoevs.protocol.scoring import score_method
 from geoevs.protocol.targets import FRONT_SIDE, make_targets, read_targets, write_targets
-from geoevs.protocol.truth import dense_truth
 from geoevs.scenes.camera import angle_between
 
-COMMON = {"dataset": "d", "scene": "s", "fingerprint": "f"}
 OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
 OK |= {"peak_memory": 9, "gpu_memory": 0}
 
@@ -48,8 +48,8 @@ def test_masked_targets_share_the_views_of_others(stage, masked):
         pose = other.camera.world_from_camera
         np.testing.assert_array_equal(target.camera.world_from_camera, pose)
         np.testing.assert_array_equal(
-            dense_truth(stage.store, stage.evidence.truth, target),
-            dense_truth(stage.store, stage.evidence.truth, other),
+            stage.answers.truth(target),
+            stage.answers.truth(other),
         )
     assert all(target.unmasked is target for target in plain.values())
 
@@ -97,7 +97,7 @@ def reproject(stage):
 
 
 def test_masks_are_the_supports_of_the_control_that_reprojects(stage, masked, reproject):
-    masks = ConditionMasks(stage.evidence.masks)
+    masks = ConditionMasks(stage.answers.path(layout.MASKS))
     for target in masked:
         mask = masks[target.key]
         seen = reproject.render(target.camera, target.frame).support
@@ -119,7 +119,7 @@ def test_a_lens_of_its_own_gets_a_cloud_of_its_own(stage, reproject):
 
 
 def test_the_masks_hold_nothing_that_scores(stage, masked):
-    stored = read_arrays(stage.evidence.masks)
+    stored = read_arrays(stage.answers.path(layout.MASKS))
     names = {f"{target.key}/{name}" for target in masked for name in ("keep", "reprojected")}
     assert set(stored) == names
     assert {array.dtype.kind for array in stored.values()} == {"b"}
@@ -151,20 +151,19 @@ def test_regions_by_hand():
 @pytest.fixture
 def scored(stage, masked, tmp_path):
     """Scores renders that err by one step in supported pixels, two in removed, four elsewhere."""
-    masks = ConditionMasks(stage.evidence.masks)
+    entry, answers = MethodEntry("mine"), stage.linked(tmp_path, layout.TARGETS)
+    renders = answers.renders(entry.label)
     for target in masked:
-        mask = masks[target.key]
-        truth = to_uint8(dense_truth(stage.store, stage.evidence.truth, target))
+        mask = answers.mask(target)
+        truth = to_uint8(stage.answers.truth(target))
         error = np.full(mask.keep.shape, 4, np.uint8)
         error[mask.supported], error[mask.removed] = 1, 2
-        write_image(tmp_path / "renders" / f"{target.key}.png", truth + error[..., None])
-    write_targets(tmp_path / "targets.json", masked)
+        write_image(renders / f"{target.key}.png", truth + error[..., None])
+    write_targets(answers.path(layout.TARGETS), masked)
 
     def score(**outcome):
-        write_json(tmp_path / "renders/render.json", {"all-cameras": {**OK, **outcome}})
-        evidence = replace(stage.evidence, targets=tmp_path / "targets.json")
-        entry = MethodEntry("mine")
-        return score_frame(score_method(entry, evidence, tmp_path / "renders", [1.0, 0.5], COMMON))
+        write_json(renders / "render.json", {"all-cameras": {**OK, **outcome}})
+        return score_frame(score_method(entry, answers, [1.0, 0.5], "f"))
 
     return score
 
@@ -200,8 +199,8 @@ def test_each_part_is_scored_by_itself(scored, masked):
 def test_the_sparse_score_is_of_hidden_reference_pixels(stage, scored, masked):
     rows = scored(masked=True)
     sparse = rows[rows["metric"] == "sparse_psnr_removed"].set_index("target")["valid_pixels"]
-    references = read_arrays(stage.evidence.references)
-    masks = ConditionMasks(stage.evidence.masks)
+    references = read_arrays(stage.answers.path(layout.REFERENCES))
+    masks = ConditionMasks(stage.answers.path(layout.MASKS))
     assert len(sparse) == 4
     assert sparse.sum() > 0
     for target in masked:
@@ -222,7 +221,7 @@ def test_a_method_gets_its_mask_as_an_array(attempt, stage, masked, tmp_path):
     fits, renders = attempt("reproject", "observed", "masked-observed")
     assert fits["all-cameras"]["masked"]
     assert renders["all-cameras"]["status"] == "ok"
-    masks = ConditionMasks(stage.evidence.masks)
+    masks = ConditionMasks(stage.answers.path(layout.MASKS))
     for target in [target for target in masked if target.split == "masked-observed"]:
         picture = read_image(tmp_path / "renders" / f"{target.key}.png")
         plain = read_image(tmp_path / "renders" / f"{target.unmasked.key}.png")
@@ -240,8 +239,10 @@ def test_a_method_without_a_condition_map_is_not_asked(toy, attempt, tmp_path):
 
 @pytest.mark.parametrize("name", ["reference", "truth"])
 def test_oracles_show_the_view_without_the_mask(attempt, stage, masked, tmp_path, name):
-    evidence = {key: str(getattr(stage.evidence, key)) for key in ("scene", "references", "truth")}
-    _, renders = attempt(name, "extrapolation", "masked-extrapolation", evidence=evidence)
+    splits = ("extrapolation", "masked-extrapolation")
+    answers = stage.linked(tmp_path / "run", layout.TARGETS)
+    stage.keep(answers.path(layout.TARGETS), *splits)
+    _, renders = attempt(name, *splits, answers=answers)
     assert renders["all-cameras"]["status"] == "ok"
     for target in [target for target in masked if target.split == "masked-extrapolation"]:
         keys = (target.key, target.unmasked.key)

@@ -1,24 +1,20 @@
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
+from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_image, write_json
 from geoevs.protocol.entries import REFERENCE, MethodEntry
 from geoevs.protocol.metrics import METRICS
-from geoevs.protocol.oracle import Oracle
+from geoevs.protocol.oracle import oracle_picture, oracle_step
 from geoevs.protocol.reference import SparseReference
-from geoevs.protocol.render_step import render_step
+from geoevs.protocol.regions import regions
 from geoevs.protocol.rows import SCORE_TYPES, cost_frame, score_frame
-from geoevs.protocol.scoring import (
-    THINNED_METRICS,
-    cost_rows,
-    regions,
-    score_method,
-)
+from geoevs.protocol.scoring import THINNED_METRICS, cost_rows, score_method
 from geoevs.protocol.targets import read_targets
+from geoevs.run import Answers
 
 MASKED_ALONE = {"psnr_removed", "psnr_never", "psnr_unsupported", "sparse_psnr_removed"}
 STABILITY_ALONE = {"psnr_moving", "psnr_still"}
@@ -63,35 +59,36 @@ def test_regions_by_hand():
     assert regions(None, None, 1.0) == {}
 
 
+def entry(name):
+    return MethodEntry(name, "v", {}, 4)
+
+
 @pytest.fixture(scope="module")
-def renders(stage, tmp_path_factory):
-    """The reference's own renders, and one grey for all targets."""
-    folder = tmp_path_factory.mktemp("renders")
-    evidence = stage.evidence
-    paths = {"scene": evidence.scene, "references": evidence.references, "truth": evidence.truth}
-    paths = {name: str(path) for name, path in paths.items()}
+def answers(stage, tmp_path_factory):
+    """A run with the reference's own renders, and one grey for all targets."""
+    answers = stage.linked(tmp_path_factory.mktemp("run"))
     for name in ("reference", "grey", "failed"):
         outcome = FAILED if name == "failed" else OK
-        write_json(folder / name / "render.json", {"all-cameras": outcome, "front-side": OK})
+        outcomes = {"all-cameras": outcome, "front-side": OK}
+        write_json(answers.renders(entry(name).label) / "render.json", outcomes)
     for sources in ("all-cameras", "front-side"):
-        places = (str(evidence.masks), paths, str(folder / "reference"))
-        render_step(REFERENCE, str(evidence.targets), sources, "", *places)
+        folder = str(answers.renders(entry(REFERENCE).label))
+        oracle_step(REFERENCE, str(answers.run), "d", "s", sources, folder)
     grey = np.full((48, 72, 3), 115, np.uint8)
     for target in stage.targets:
         for name in ("grey", "failed"):
-            write_image(folder / name / f"{target.key}.png", grey)
-    return folder
+            write_image(answers.renders(entry(name).label) / f"{target.key}.png", grey)
+    return answers
 
 
-def scored(stage, renders, name, evidence=None):
-    entry = MethodEntry(name, "v", {}, 4)
-    return score_frame(
-        score_method(entry, evidence or stage.evidence, renders / name, KEEPS, COMMON)
-    )
+def scored(answers, name):
+    # Opened anew, so that what a test has replaced is seen.
+    answers = Answers(answers.run, **answers.place)
+    return score_frame(score_method(entry(name), answers, KEEPS, "f"))
 
 
-def test_every_target_has_every_metric_that_it_can(stage, renders):
-    rows = scored(stage, renders, "grey")
+def test_every_target_has_every_metric_that_it_can(stage, answers):
+    rows = scored(answers, "grey")
     assert list(rows.columns) == list(SCORE_TYPES)
     main = rows[rows["stressor"] == ""]
     dense = {"psnr", "ssim", "mae", "gms", "lpips"}
@@ -111,8 +108,8 @@ def test_every_target_has_every_metric_that_it_can(stage, renders):
     assert all((rows[name] == value).all() for name, value in COMMON.items())
 
 
-def test_thinned_rows_are_of_extrapolation_alone(stage, renders):
-    rows = scored(stage, renders, "grey")
+def test_thinned_rows_are_of_extrapolation_alone(stage, answers):
+    rows = scored(answers, "grey")
     thinned = rows[rows["stressor"] == "reference-thinning"]
     extrapolated = [target for target in stage.targets if target.split == "extrapolation"]
     assert len(thinned) == len(THINNED_METRICS) * len(extrapolated) == 4 * 8
@@ -125,8 +122,8 @@ def test_thinned_rows_are_of_extrapolation_alone(stage, renders):
     np.testing.assert_allclose(pair["support_ratio"] * 48 * 72, pair["valid_pixels"])
 
 
-def test_the_reference_reaches_what_8_bits_allow(stage, renders):
-    best, worst = (scored(stage, renders, name) for name in ("reference", "grey"))
+def test_the_reference_reaches_what_8_bits_allow(stage, answers):
+    best, worst = (scored(answers, name) for name in ("reference", "grey"))
     # Rounding to 1 / 255 errs by at most half of it: 20 log10(2 * 255) = 54.2 dB at worst.
     for metric in ("sparse_psnr", "sparse_psnr_new", "sparse_psnr_footprint"):
         values = best[best["metric"] == metric]["value"]
@@ -137,8 +134,8 @@ def test_the_reference_reaches_what_8_bits_allow(stage, renders):
     assert best[best["metric"] == "sparse_ssim"]["value"].min() > 0.999
 
 
-def test_a_failed_render_is_rows_that_say_so(stage, renders):
-    rows, fine = scored(stage, renders, "failed"), scored(stage, renders, "grey")
+def test_a_failed_render_is_rows_that_say_so(stage, answers):
+    rows, fine = scored(answers, "failed"), scored(answers, "grey")
     assert len(rows) == len(fine)
     failed = rows["split"] != "interpolation"  # those came from other sources
     assert (rows["status"] == "failed").equals(failed)
@@ -151,7 +148,7 @@ def test_a_failed_render_is_rows_that_say_so(stage, renders):
     assert rows[same].equals(fine[same])
 
 
-def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
+def test_an_empty_mask_is_a_row_without_a_value(answers, monkeypatch):
     class NoPoints:
         def __init__(self, path):
             pass
@@ -159,8 +156,8 @@ def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
         def __getitem__(self, key):
             return reference(48, 72)
 
-    monkeypatch.setattr("geoevs.protocol.scoring.References", NoPoints)
-    rows = scored(stage, renders, "grey")
+    monkeypatch.setattr("geoevs.run.References", NoPoints)
+    rows = scored(answers, "grey")
     rows = rows[~rows["split"].str.startswith("masked")]
     sparse = rows["metric"].str.startswith("sparse")
     assert (rows[sparse]["status"] == "empty-mask").all()
@@ -172,9 +169,9 @@ def test_an_empty_mask_is_a_row_without_a_value(stage, renders, monkeypatch):
     assert (rows[others]["status"] == "ok").all()
 
 
-def test_a_metric_without_weights_is_rows_that_say_so(stage, renders, monkeypatch):
+def test_a_metric_without_weights_is_rows_that_say_so(answers, monkeypatch):
     monkeypatch.setattr("geoevs.protocol.weights.find_spec", lambda name: None)
-    rows = scored(stage, renders, "grey")
+    rows = scored(answers, "grey")
     learned = rows[rows["metric"] == "lpips"]
     assert len(learned) == len(rows[rows["metric"] == "psnr"])
     assert (learned["status"] == "unavailable").all()
@@ -182,9 +179,12 @@ def test_a_metric_without_weights_is_rows_that_say_so(stage, renders, monkeypatc
     assert learned["reason"].str.startswith("the package lpips is not installed (pip").all()
 
 
-def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders, tmp_path):
-    evidence = dataclasses.replace(stage.evidence, truth=tmp_path)
-    rows = scored(stage, renders, "grey", evidence)
+def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, answers, tmp_path):
+    untold = stage.linked(tmp_path, layout.TRUTH)
+    renders = untold.renders(entry("grey").label)
+    renders.parent.mkdir(parents=True)
+    renders.symlink_to(answers.renders(entry("grey").label))
+    rows = scored(untold, "grey")
     virtual = rows[rows["split"].isin(["extrapolation", "pose-sweep"])]
     assert virtual["metric"].str.startswith("sparse").all()
     assert set(rows[rows["split"] == "interpolation"]["metric"]) == {
@@ -197,24 +197,25 @@ def test_without_truth_virtual_targets_have_sparse_metrics_alone(stage, renders,
 
 
 def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):
-    evidence = stage.evidence
-    oracle = Oracle(REFERENCE, str(evidence.scene), str(evidence.references), str(tmp_path))
     target = next(target for target in stage.targets if target.split == "extrapolation")
-    rgb = oracle.render(target).rgb
+    rgb = oracle_picture(REFERENCE, stage.linked(tmp_path, layout.TRUTH), target)
     black = (rgb == 0).all(axis=-1)
     assert 0.01 < 1 - black.mean() < 0.9
 
 
-def test_a_missing_render_is_named(stage, renders, tmp_path):
-    write_json(tmp_path / "grey/render.json", {"all-cameras": OK, "front-side": OK})
-    with pytest.raises(GeoEvsError, match=r"grey/front/000000\.png is missing"):
-        scored(stage, tmp_path, "grey")
+def test_a_missing_render_is_named(stage, tmp_path):
+    answers = stage.linked(tmp_path)
+    outcomes = {"all-cameras": OK, "front-side": OK}
+    write_json(answers.renders(entry("grey").label) / "render.json", outcomes)
+    with pytest.raises(GeoEvsError, match=r"grey\.v\.seed4/front/000000\.png is missing"):
+        scored(answers, "grey")
 
 
 def test_renders_of_other_sources_are_named(stage, tmp_path):
-    write_json(tmp_path / "grey/render.json", {"all-cameras": FAILED})
+    answers = stage.linked(tmp_path)
+    write_json(answers.renders(entry("grey").label) / "render.json", {"all-cameras": FAILED})
     with pytest.raises(GeoEvsError, match=r"render\.json has no outcome for front-side"):
-        scored(stage, tmp_path, "grey")
+        scored(answers, "grey")
 
 
 @pytest.mark.parametrize("text", ["3", '[{"split": "observed"}]', "[1]", '{"a": 1}'])
@@ -228,12 +229,12 @@ def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
     spent["training_seconds"] = 120.0
     outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
-    write_json(tmp_path / "render.json", outcomes)
-    place = {"dataset": "d", "scene": "s"}
-    rows = cost_frame(cost_rows(MethodEntry("m", "v", {}, 1), tmp_path, place))
+    who, answers = MethodEntry("m", "v", {}, 1), Answers(tmp_path, "d", "s")
+    write_json(answers.renders(who.label) / "render.json", outcomes)
+    rows = cost_frame(cost_rows(who, answers))
     fine, failed = rows.to_dict("records")
     assert fine == {
-        **place,
+        **answers.place,
         **{"method": "m", "variant": "v", "seed": 1, "sources": "all-cameras"},
         **{"fit_seconds": 2.0, "render_seconds": 0.5, "peak_memory": 9, "gpu_memory": 5},
         "training_seconds": 120.0,

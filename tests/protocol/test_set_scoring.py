@@ -1,18 +1,13 @@
 import math
-import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs import layout
 from geoevs.core.files import to_uint8, write_image, write_json
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.set_scoring import SET_TYPES, score_sets, set_frame
-from geoevs.protocol.targets import read_targets
-from geoevs.protocol.truth import dense_truth
 
-WHERE = {"dataset": "d", "scene": "s"}
 OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
 OK |= {"peak_memory": 0, "gpu_memory": 0}
 
@@ -20,23 +15,18 @@ OK |= {"peak_memory": 0, "gpu_memory": 0}
 @pytest.fixture(scope="module")
 def run(stage, tmp_path_factory):
     """A run of the tiny scene: exact copies, flat greys, and one that failed from all cameras."""
-    folder = tmp_path_factory.mktemp("run")
-    shutil.copytree(stage.folder / "scene", folder / layout.SCENE.format(**WHERE))
-    shutil.copytree(stage.evidence.truth, folder / layout.TRUTH.format(**WHERE))
-    targets = folder / layout.TARGETS.format(**WHERE)
-    targets.parent.mkdir(parents=True)
-    shutil.copy(stage.evidence.targets, targets)
+    answers = stage.linked(tmp_path_factory.mktemp("run"))
     failed = {**OK, "status": "failed", "reason": "no points"}
     for label in ("copy", "grey.flat", "broken"):
-        renders = folder / layout.RENDERS.format(label=label, **WHERE)
+        renders = answers.renders(label)
         outcome = failed if label == "broken" else OK
         write_json(renders / "render.json", {"all-cameras": outcome, "front-side": OK})
-        for target in read_targets(targets):
-            true = to_uint8(dense_truth(stage.store, stage.evidence.truth, target))
+        for target in stage.targets:
+            true = to_uint8(answers.truth(target))
             write_image(
                 renders / f"{target.key}.png", true if label == "copy" else np.full_like(true, 128)
             )
-    return folder
+    return answers.run
 
 
 @pytest.fixture

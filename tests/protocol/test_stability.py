@@ -1,13 +1,11 @@
 """Stresses, their isolation, and the pixels that the suite tells apart."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from geoevs import layout
 from geoevs.core.files import read_json, write_image
-from geoevs.methods.tiny import CAR, ROOM, tiny_camera, tiny_truth, write_tiny_scene
-from geoevs.projection import unproject_depth
+from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.records import write_records
@@ -24,10 +22,11 @@ from geoevs.protocol.stability import (
     stresses,
     world_options,
 )
-from geoevs.protocol.stability_scoring import depth_edges, edge_distance, in_boxes, score_stresses
+from geoevs.protocol.stability_scoring import depth_edges, edge_distance, score_stresses
 from geoevs.protocol.stressors import STRESSORS, Stressor
 from geoevs.protocol.targets import read_targets, write_targets
 from geoevs.protocol.truth import write_truth
+from geoevs.run import Answers
 from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.store import Scene
 
@@ -127,7 +126,7 @@ def test_one_failing_stress_does_not_end_the_others(folder, toy):
     assert {ending["status"] for ending in endings} == {"failed"}
     assert "without declaring it" in endings[0]["reason"]
     assert "nowhere" in endings[1]["reason"]
-    rows = score_stresses(MethodEntry(method), "support", folder, "d", "tiny", SETTINGS)
+    rows = score_stresses(MethodEntry(method), "support", Answers(folder, "d", "tiny"), SETTINGS)
     assert set(rows["status"]) == {"failed"}
     assert set(rows["level"]) == {0.05, 0.01}
 
@@ -168,7 +167,7 @@ def test_clean_renders_score_poses_edges_and_spread(folder, toy):
     for target in read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny")):
         picture = np.full((48, 72, 3), 0.5 + 0.1, np.float32)
         write_image(renders / Stress(CLEAN, draw=1).key / f"{target.key}.png", picture)
-    rows = score_stresses(MethodEntry(method), CLEAN, folder, "d", "tiny", SETTINGS)
+    rows = score_stresses(MethodEntry(method), CLEAN, Answers(folder, "d", "tiny"), SETTINGS)
     assert set(rows["stressor"]) == {CLEAN, "lateral", "yaw", "edges"}
     assert set(rows[rows["stressor"] == "yaw"]["level"]) == {0.0, 45.0}
     edges = rows[rows["stressor"] == "edges"].groupby("level")["valid_pixels"].sum()
@@ -192,7 +191,7 @@ def test_the_metrics_of_motion_tell_moving_cars_apart(folder, toy):
     method = toy("mover")
     worlds = [made_world(folder, f"tiny~traffic_speed={speed}") for speed in (0, 5)]
     render(folder, method, "motion", [world for world in worlds for _ in range(2)])
-    rows = score_stresses(MethodEntry(method), "motion", folder, "d", "tiny", SETTINGS)
+    rows = score_stresses(MethodEntry(method), "motion", Answers(folder, "d", "tiny"), SETTINGS)
     assert list(dict.fromkeys(rows["metric"])) == ["psnr", "psnr_moving", "psnr_still"]
     assert set(rows["level"]) == {0.0, 5.0}
     assert set(rows["split"]) == {"extrapolation"}
@@ -206,7 +205,7 @@ def test_a_stressor_of_another_world_is_added_in_one_place(folder, toy, monkeypa
     method = toy("grainy")
     worlds = [made_world(folder, f"tiny~samples={samples}") for samples in (8, 2)]
     render(folder, method, "grain", [world for world in worlds for _ in range(2)])
-    rows = score_stresses(MethodEntry(method), "grain", folder, "d", "tiny", SETTINGS)
+    rows = score_stresses(MethodEntry(method), "grain", Answers(folder, "d", "tiny"), SETTINGS)
     assert set(rows["stressor"]) == {"grain"}
     assert set(rows["level"]) == {8.0, 2.0}
     # Boxes of moving cars are asked for by `motion` alone.
@@ -218,13 +217,12 @@ def test_the_fingerprint_is_of_the_scene_and_the_shifts_of_its_targets(folder, t
     scene = folder / layout.SCENE.format(dataset="d", scene="tiny")
     render(folder, method, "support", [scene] * 4)
     (fingerprint,) = set(
-        score_stresses(entry, "support", folder, "d", "tiny", SETTINGS)["fingerprint"]
+        score_stresses(entry, "support", Answers(folder, "d", "tiny"), SETTINGS)["fingerprint"]
     )
     assert fingerprint == protocol_fingerprint(Scene(scene), {"lateral": [1.0]})
     harder = {**SETTINGS, "seeds": 1, "levels": LEVELS | {"support": [0.05], "yaw": [10]}}
-    assert set(score_stresses(entry, "support", folder, "d", "tiny", harder)["fingerprint"]) == {
-        fingerprint
-    }
+    rows = score_stresses(entry, "support", Answers(folder, "d", "tiny"), harder)
+    assert set(rows["fingerprint"]) == {fingerprint}
 
 
 def test_a_plane_at_a_grazing_angle_has_no_edge():
@@ -241,21 +239,3 @@ def test_a_plane_at_a_grazing_angle_has_no_edge():
 
 def test_the_sky_is_behind_everything():
     assert edge_distance(np.array([[0.0, 0.0, 50.0, 50.0]])).tolist() == [[1.0, 0.0, 0.0, 1.0]]
-
-
-def test_pixels_in_a_box_are_those_of_its_car():
-    camera = tiny_camera("aside", 15.0, np.array([0.0, 0.5, 1.6]))
-    truth = tiny_truth(camera)
-    centre, size = CAR.mean(axis=0), CAR[1] - CAR[0]
-    fields = ("x", "y", "z", "length", "width", "height")
-    box = dict(zip(fields, [*centre, *size], strict=True)) | {"yaw": 0.0}
-    inside = in_boxes(truth.depth, camera, pd.DataFrame([box]))
-    rays = unproject_depth(np.ones_like(truth.depth), camera)[0] - camera.centre
-    with np.errstate(divide="ignore"):
-        wall = ((ROOM[:, None] - camera.centre) / rays).max(axis=0).min(axis=1)
-    car = truth.depth < wall.reshape(truth.depth.shape) - 1e-3
-    assert car.sum() > 100
-    assert inside[car].all()
-    assert (inside & ~car).sum() < 0.2 * car.sum()  # the floor that touches it
-    turned = pd.DataFrame([box | {"yaw": 90.0, "x": centre[0] - 30}])
-    assert not in_boxes(truth.depth, camera, turned).any()

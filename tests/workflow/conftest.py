@@ -1,7 +1,10 @@
+import contextlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -44,6 +47,41 @@ class Workspace:
             process_group=0,
             env=os.environ,
         )
+
+    def kill_at_work(self, moment: float, *arguments: str) -> set[Path]:
+        """Start a run and kill it while a job's folder is half-made; gives such folders.
+
+        Args:
+            moment: seconds after the first folder was begun, at least.
+            arguments: of Snakemake.
+        """
+        before, begun = self.half_made(), None
+        process = self.start(*arguments)
+        deadline = time.monotonic() + moment + 300
+        try:
+            while time.monotonic() < deadline:
+                assert process.poll() is None, "the run ended before it could be killed"
+                os.killpg(process.pid, signal.SIGSTOP)  # so that nothing ends between look and kill
+                if left := self.half_made() - before:
+                    begun = begun or time.monotonic()
+                    if time.monotonic() - begun >= moment:
+                        return left
+                os.killpg(process.pid, signal.SIGCONT)
+                time.sleep(0.05)
+            raise AssertionError("no job began to write a folder")
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+    def half_made(self) -> set[Path]:
+        """Folders that jobs are writing (see `new_folder`), or that killed ones have left."""
+        return {
+            Path(parent) / name
+            for parent, folders, _ in os.walk(self.folder / "results")
+            for name in folders
+            if name.startswith(".") and "~" in name
+        }
 
 
 @pytest.fixture

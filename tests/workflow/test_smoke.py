@@ -1,12 +1,9 @@
-import os
 import random
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +23,7 @@ OF_THE_PAPER = ["geo-evs", *BASELINES]  # of its methods, those that this suite 
 # Everything but timings, which no two runs share.
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
-    *("masks", "depths", "geometry", "point-maps", "pairs", "artifact-masks", "clips", "trained"),
+    *("masks", "depths", "geometry", "point-maps", "prepared", "trained"),
     "entrants.json",
 )
 STRESSED = "street-stability"  # a data set that the killed run does not need
@@ -63,10 +60,10 @@ def test_the_whole_dag_runs(smoke_run):
     assert np.isfinite(ablation.loc["v1", "masked_observed_psnr_removed_diff"])
     sizes = pd.read_csv(results / "tables/complexity.csv")
     assert sizes["note"].tolist() == ["no fixed size was run"]
-    trained = results / "trained/v3.seed0"
+    trained = results / "trained/geo-evs/v3.seed0"
     assert (trained / "denoiser.safetensors").exists()
-    assert len((results / "training/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
-    assert (results / "trained/freevs.seed0/denoiser.safetensors").exists()
+    assert len((results / "training/geo-evs/v3.seed0/losses.csv").read_text().splitlines()) == 1 + 6
+    assert (results / "trained/freevs/default.seed0/denoiser.safetensors").exists()
     agreement = pd.read_csv(results / "tables/rank_agreement.csv")
     measured = agreement[agreement["methods"] > 0]  # LPIPS has no weights here
     assert measured["methods"].tolist() == [len(OF_THE_PAPER)] * 4
@@ -80,9 +77,9 @@ def test_it_makes_pairs_and_masks(smoke_run):
     workspace, run = smoke_run
     assert run.returncode == 0, run.stderr[-3000:]
     results = workspace.folder / "results/smoke"
-    pairs = read_pairs([results / "pairs/street-train/straight-301.npz"])
+    pairs = read_pairs([results / "prepared/geo-evs/street-train/straight-301.npz"])
     assert pairs.target.shape == (10, 64, 96, 3)
-    library = read_artifact_masks(results / "artifact-masks/library.npz")
+    library = read_artifact_masks(results / "prepared/geo-evs/combined.npz")
     # Two frames at two shifts: straight ahead, and half-way to both sides.
     assert len(library) == 2 * 2 * 3
     assert set(library.scene) == set(pairs.scene) == {"straight-301"}
@@ -289,7 +286,7 @@ def test_training_is_a_cost_beside_the_fit(smoke_run):
     results = workspace.folder / "results/smoke"
     costs = pd.read_csv(results / "tables/costs.csv").set_index(["method", "variant"])
     tuned = read_json(results / "geometry/vggt.seconds.json")["training"]
-    for method, training in (("geo-evs", "v3"), ("freevs", "freevs")):
+    for method, training in (("geo-evs", "geo-evs/v3"), ("freevs", "freevs/default")):
         seconds = read_json(results / f"trained/{training}.seed0/seconds.json")
         assert seconds.get("geometry", tuned) == tuned > 0
         spent = costs.loc[(method, "default"), "training_seconds"]
@@ -306,7 +303,7 @@ def test_another_bootstrap_remakes_tables_alone(smoke_run):
     plan = workspace.snakemake(*workspace.SMOKE, *overlays, "-n", "--", "tables")
     text = plan.stdout + plan.stderr
     assert "rule table:" in text
-    for rule in ("scene", "fit", "render", "score", "truth", "references", "masks"):
+    for rule in ("scene", "fit", "render", "score", "truth", "references", "prepare"):
         assert f"rule {rule}:" not in text
 
 
@@ -330,12 +327,11 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     arguments = (*workspace.SMOKE, "failing.yaml", "--", *workspace.RESUMED)
     moments = random.Random(0)
     for _ in range(3):
-        process = workspace.start(*arguments)
-        time.sleep(moments.uniform(6, 14))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        left = workspace.kill_at_work(moments.uniform(0, 8), *arguments)
+        assert left & workspace.half_made()
     last = workspace.snakemake(*arguments)
     assert last.returncode == 0, last.stderr[-3000:]
+    assert not workspace.half_made()
     expected = files(finished.folder / "results/smoke")
     found = files(workspace.folder / "results/smoke")
     assert found.keys() == expected.keys()

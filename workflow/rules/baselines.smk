@@ -9,7 +9,7 @@ rule fit:
     output:
         directory(in_run(layout.MODEL)),
     log:
-        in_run("logs/fit/{dataset}/{scene}/{label}.log"),
+        in_run(layout.FIT_LOG),
         method=in_run("logs/fit/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/fit/{dataset}/{scene}/{label}.tsv")
@@ -26,23 +26,23 @@ rule fit:
 
 rule render:
     input:
-        unpack(evidence),
+        unpack(oracle_answers),
         model=in_run(layout.MODEL),
         targets=in_run(layout.TARGETS),
         masks=in_run(layout.MASKS),
     output:
         directory(in_run(layout.RENDERS)),
     log:
-        in_run("logs/render/{dataset}/{scene}/{label}.log"),
+        in_run(layout.RENDER_LOG),
         method=in_run("logs/render/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/render/{dataset}/{scene}/{label}.tsv")
     threads: workflow.cores
     params:
         method=lambda wildcards: ENTRIES[wildcards.label].method,
-        evidence=evidence_arguments,
+        answers=oracle_arguments,
         code=method_code("render"),
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
-        " --targets {input.targets:q} --masks {input.masks:q} {params.evidence}"
+        " --targets {input.targets:q} --masks {input.masks:q} {params.answers}"
         " --method-log {log.method:q} --out {output:q}"

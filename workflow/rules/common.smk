@@ -181,9 +181,11 @@ def method_code(step):
 
     def of(wildcards):
         method = ENTRIES[wildcards.label].method
-        modules = [] if method in ORACLES else [find_methods()[method]]
+        adapter = (
+            "geoevs.protocol.oracle" if method in ORACLES else find_methods()[method]
+        )
         return code_hash(
-            f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", *modules
+            f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", adapter
         )
 
     return of
@@ -248,7 +250,7 @@ def starting_weights(wildcards):
     return [path for path in [*PRETRAINED, *PRIOR_FILES] if Path(path).exists()]
 
 
-def evidence(wildcards):
+def oracle_answers(wildcards):
     """What the controls reference and truth, and they alone, may look at."""
     if ENTRIES[wildcards.label].method not in ORACLES:
         return {}
@@ -259,9 +261,15 @@ def evidence(wildcards):
     }
 
 
-def evidence_arguments(wildcards, input):
-    """The same as arguments."""
-    return " ".join(f"--{name} '{input[name]}'" for name in evidence(wildcards))
+def oracle_arguments(wildcards, input):
+    """How they are told where it is."""
+    if not oracle_answers(wildcards):
+        return ""
+    run = Path(input.model).parents[3]
+    return (
+        f"--run {shlex.quote(str(run))} --dataset {shlex.quote(wildcards.dataset)} "
+        f"--scene {shlex.quote(wildcards.scene)}"
+    )
 
 
 def with_option(option, paths):

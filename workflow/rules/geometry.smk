@@ -60,7 +60,7 @@ rule depth_scores_of_scene:
     output:
         in_run(layout.DEPTH_SCORE_PART),
     log:
-        in_run("logs/depth-scores/{dataset}/{scene}.log"),
+        in_run(layout.DEPTH_SCORE_LOG),
     benchmark:
         in_run("benchmarks/depth-scores/{dataset}/{scene}.tsv")
     threads: workflow.cores

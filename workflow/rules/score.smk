@@ -18,13 +18,12 @@ rule score:
         in_run("benchmarks/score/{dataset}/{scene}/{label}.tsv")
     params:
         entry=entry_arguments,
+        run=lambda wildcards, output: Path(output.scores).parents[3],
         protocol=PROTOCOL,
         code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
     shell:
-        "geoevs --log {log:q} score {params.entry} --dataset {wildcards.dataset:q}"
-        " --scene-name {wildcards.scene:q} --scene {input.scene:q} --targets {input.targets:q}"
-        " --references {input.references:q} --truth {input.truth:q} --masks {input.masks:q}"
-        " --renders {input.renders:q} --protocol {params.protocol:q} --out {output.scores:q}"
+        "geoevs --log {log:q} score {params.entry} --run {params.run:q} --dataset {wildcards.dataset:q}"
+        " --scene {wildcards.scene:q} --protocol {params.protocol:q} --out {output.scores:q}"
         " --costs {output.costs:q}"
 
 

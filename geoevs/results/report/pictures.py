@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from geoevs import layout
 from geoevs.core.files import read_image, to_uint8
 from geoevs.protocol.reference import SparseReference
-from geoevs.protocol.targets import Target, read_targets
-from geoevs.results.figures import Evidence, mask_picture, validity_picture
+from geoevs.protocol.targets import Target
+from geoevs.results.figures import mask_picture, truth_picture, validity_picture
+from geoevs.run import Answers
 
 WIDEST = 384
 """Pixels; wider pictures are shrunk to this."""
@@ -33,27 +33,14 @@ TRUTH, REFERENCE, OVERLAY = "truth", "sparse reference", "overlay"
 
 @dataclass(frozen=True)
 class View:
-    """A target of a scene, and where its evidence and its renders lie."""
+    """A target of a scene, with the answers and the renders of all of them."""
 
-    dataset: str
-    scene: str
+    answers: Answers
     target: Target
-    run: Path
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Its data set and scene."""
-        return self.dataset, self.scene
-
-    @property
-    def where(self) -> dict[str, str]:
-        """What fills the layout's patterns."""
-        return {"dataset": self.dataset, "scene": self.scene}
 
     def render(self, label: str) -> Path:
         """The file of an entrant's render, which need not exist."""
-        folder = self.run / layout.RENDERS.format(label=label, **self.where)
-        return folder / f"{self.target.key}.png"
+        return self.answers.renders(label) / f"{self.target.key}.png"
 
 
 def comparison(
@@ -63,7 +50,7 @@ def comparison(
     budget: int,
     threads: int = 1,
 ) -> dict[str, Any]:
-    """Every target's truth, evidence and renders as `data:` addresses.
+    """Every target's truth, reference, overlay and renders as `data:` addresses.
 
     If all of them take more than the budget at the lowest quality, frames are left out evenly.
 
@@ -80,24 +67,21 @@ def comparison(
         how many of the run's frames the page has.
     """
     views = [
-        View(dataset, scene, target, run)
-        for dataset, scene in scenes
-        for target in read_targets(run / layout.TARGETS.format(dataset=dataset, scene=scene))
+        View(answers, target)
+        for answers in (Answers(run, *place) for place in scenes)
+        for target in answers.targets
     ]
     with ThreadPoolExecutor(threads) as pool:
         quality, share = _fit(views, labels, budget, pool)
         kept = _thinned(views, share)
-        evidence = {place: Evidence(run, *place) for place in {view.place for view in kept}}
-        pictures = pool.map(
-            lambda view: _pictures(view, evidence[view.place], labels, quality), kept
-        )
+        pictures = pool.map(lambda view: _pictures(view, labels, quality), kept)
         images: dict[str, int] = {}
         shown = [
             _described(view, addresses, images)
             for view, addresses in zip(kept, pictures, strict=True)
         ]
     frames, all_frames = (
-        len({(view.place, view.target.frame) for view in some}) for some in (kept, views)
+        len({(view.answers, view.target.frame) for view in some}) for some in (kept, views)
     )
     counts = {"frames": frames, "all_frames": all_frames}
     return {"images": list(images), "views": shown, "quality": quality, **counts}
@@ -105,15 +89,15 @@ def comparison(
 
 def _thinned(views: list[View], share: float) -> list[View]:
     """The views of a share of each scene's frames, evenly spaced, of one at least."""
-    frames: dict[tuple[str, str], list[int]] = {}
+    frames: dict[Answers, list[int]] = {}
     for view in views:
-        frames.setdefault(view.place, []).append(view.target.frame)
+        frames.setdefault(view.answers, []).append(view.target.frame)
     kept = {}
-    for place, found in frames.items():
+    for scene, found in frames.items():
         some = sorted(set(found))
         count = max(1, int(share * len(some)))
-        kept[place] = {some[k * len(some) // count] for k in range(count)}
-    return [view for view in views if view.target.frame in kept[view.place]]
+        kept[scene] = {some[k * len(some) // count] for k in range(count)}
+    return [view for view in views if view.target.frame in kept[view.answers]]
 
 
 def _fit(
@@ -126,7 +110,7 @@ def _fit(
     sample = files[:SAMPLED]
     if not sample:
         return QUALITIES[0], 1.0
-    # What compresses badly as PNG does so as WebP. Truth, evidence and overlay come to about two
+    # What compresses badly as PNG does so as WebP. Truth, reference and overlay come to about two
     # more pictures a view.
     times = sum(map(_bytes, files)) / sum(map(_bytes, sample)) * (1 + 2 * len(views) / len(files))
     needed = 0.0
@@ -147,21 +131,19 @@ def _bytes(file: Path) -> int:
     return file.stat().st_size
 
 
-def _pictures(
-    view: View, evidence: Evidence, labels: Sequence[str], quality: int
-) -> dict[str, str]:
+def _pictures(view: View, labels: Sequence[str], quality: int) -> dict[str, str]:
     """The address of every picture of a view, by name."""
-    target, found = view.target, {}
-    truth = evidence.truth(target)
+    answers, target, found = view.answers, view.target, {}
+    truth = truth_picture(answers, target)
     if truth is not None:
         found[TRUTH] = _address(truth, quality)
     if not target.recorded:
-        reference = evidence.reference(target)
+        reference = answers.reference(target)
         found[REFERENCE] = _address(_with_mask(reference), None)
         if not target.masked:
             found[OVERLAY] = _address(validity_picture(reference), None)
     if target.masked:
-        found[OVERLAY] = _address(mask_picture(evidence.mask(target)), None)
+        found[OVERLAY] = _address(mask_picture(answers.mask(target)), None)
     for label in labels:
         path = view.render(label)
         if path.exists():
@@ -175,7 +157,7 @@ def _described(view: View, addresses: dict[str, str], images: dict[str, int]) ->
     overlay = numbers.pop(OVERLAY, None)
     target = view.target
     name = {"split": target.split, "frame": target.frame, "view": target.camera.name}
-    return {**view.where, **name, "overlay": overlay, "pictures": numbers}
+    return {**view.answers.place, **name, "overlay": overlay, "pictures": numbers}
 
 
 def _with_mask(reference: SparseReference) -> np.ndarray:

@@ -1,0 +1,75 @@
+"""Regions of a target: what they should look like, and which of its pixels count (see METRICS)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geoevs.protocol.condition_masks import ConditionMask
+from geoevs.protocol.reference import SparseReference
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one region of a target should look like, and which of its pixels count."""
+
+    target: np.ndarray  # [H, W, 3]
+    mask: np.ndarray  # [H, W] bool
+    support_ratio: float
+
+
+def regions(
+    reference: SparseReference | None, dense: np.ndarray | None, keep: float
+) -> dict[str, Answer]:
+    """The regions that metrics name (see METRICS), as far as this unmasked target has them.
+
+    Args:
+        reference: the sparse reference, of virtual targets.
+        dense: (H, W, 3) truth, where known.
+        keep: the share of reference pixels to keep.
+    """
+    found = {}
+    everywhere = None if dense is None else np.ones(dense.shape[:2], bool)
+    if reference is not None:
+        image, mask = reference.image(), reference.mask(keep)
+        masks = {
+            "reference": mask,
+            "reference-new": mask & ~reference.reprojected,
+            "reference-footprint": reference.footprint_mask(keep),
+        }
+        ratio = float(mask.mean())
+        found |= {name: Answer(image, region, ratio) for name, region in masks.items()}
+        if dense is not None:
+            found["dense"] = Answer(dense, everywhere, ratio)
+            found["dense-new"] = Answer(dense, ~reference.reprojected, ratio)
+            found["dense-supported"] = Answer(dense, reference.reprojected, ratio)
+    elif dense is not None:
+        found["dense"] = Answer(dense, everywhere, 1.0)
+    return found
+
+
+def masked_regions(
+    mask: ConditionMask, reference: SparseReference | None, dense: np.ndarray | None, keep: float
+) -> dict[str, Answer]:
+    """The regions of a masked target (see METRICS); support ratios are the degraded condition's.
+
+    Args:
+        mask: how its condition was degraded.
+        reference: the sparse reference, of extrapolated targets.
+        dense: (H, W, 3) truth, where known.
+        keep: the share of reference pixels to keep.
+    """
+    found = {}
+    ratio = float(mask.supported.mean())
+    if dense is not None:
+        pixels = {
+            "dense": np.ones(dense.shape[:2], bool),
+            "dense-supported": mask.supported,
+            "dense-removed": mask.removed,
+            "dense-never": ~mask.reprojected,
+            "dense-unsupported": ~mask.supported,
+        }
+        found |= {name: Answer(dense, region, ratio) for name, region in pixels.items()}
+    if reference is not None:
+        hidden = reference.mask(keep) & mask.removed
+        found["reference-removed"] = Answer(reference.image(), hidden, ratio)
+    return found

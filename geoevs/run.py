@@ -1,0 +1,101 @@
+"""The one way to open what a run has of a scene: its views, and the answers that judge them."""
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from geoevs import layout
+from geoevs.core.files import read_arrays, read_image, to_float
+from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
+from geoevs.protocol.reference import References, SparseReference
+from geoevs.protocol.regions import Answer, masked_regions, regions
+from geoevs.protocol.targets import Target, read_targets
+from geoevs.scenes.store import Scene
+
+
+class Answers:
+    """A scene's store, targets, references, truth and masks, each opened when first asked for.
+
+    No method may see one. Whatever is missing or damaged is a GeoEvsError where it is asked for.
+
+    Args:
+        run: the run's folder.
+        dataset: the scene's data set in the config.
+        scene: its name there, or that of another world of it.
+    """
+
+    def __init__(self, run: Path, dataset: str, scene: str) -> None:
+        self.run, self.dataset, self.name = Path(run), dataset, scene
+
+    @property
+    def place(self) -> dict[str, str]:
+        """Data set and scene, as the layout's patterns and all rows have them."""
+        return {"dataset": self.dataset, "scene": self.name}
+
+    def path(self, pattern: str, **names: str) -> Path:
+        """Where something of the scene lies, by its pattern in the layout and the other names."""
+        return self.run / pattern.format(**self.place, **names)
+
+    def renders(self, label: str) -> Path:
+        """The folder of what an entrant rendered."""
+        return self.path(layout.RENDERS, label=label)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What was recorded."""
+        return Scene(self.path(layout.SCENE))
+
+    @cached_property
+    def targets(self) -> list[Target]:
+        """The views to synthesise."""
+        return read_targets(self.path(layout.TARGETS))
+
+    @cached_property
+    def _references(self) -> References:
+        return References(self.path(layout.REFERENCES))
+
+    @cached_property
+    def _masks(self) -> ConditionMasks:
+        return ConditionMasks(self.path(layout.MASKS))
+
+    def reference(self, target: Target) -> SparseReference | None:
+        """The sparse reference of a target, masked or not; None where a camera recorded it."""
+        return None if target.recorded else self._references[target.unmasked.key]
+
+    def mask(self, target: Target) -> ConditionMask:
+        """How a masked target's condition is degraded."""
+        return self._masks[target.key]
+
+    def truth(self, target: Target) -> np.ndarray | None:
+        """(H, W, 3) float32 in [0, 1]: true pixels of a target; None where nobody knows them."""
+        target = target.unmasked
+        if target.split == "observed":
+            return self.scene.image(target.camera.name, target.frame)
+        if target.split == "interpolation":
+            return self.scene.image(self.scene.info.rig.front, target.frame)
+        path = self._truth_file(target, "png")
+        return to_float(read_image(path)) if path.exists() else None
+
+    def depth(self, target: Target) -> np.ndarray | None:
+        """(H, W) float32 metres, 0 = none: true depth of a target that no camera recorded.
+
+        None where nobody knows it.
+        """
+        path = self._truth_file(target.unmasked, "npz")
+        return read_arrays(path)["depth"] if path.exists() else None
+
+    def _truth_file(self, target: Target, suffix: str) -> Path:
+        return self.path(layout.TRUTH) / f"{target.key}.{suffix}"
+
+    def regions(self, target: Target, keep: float = 1.0) -> dict[str, Answer]:
+        """What the regions of a target should look like, as far as anybody knows (see METRICS).
+
+        Args:
+            target: the view.
+            keep: the share of the reference's pixels that is kept.
+        """
+        reference, truth = self.reference(target), self.truth(target)
+        if target.masked:
+            return masked_regions(self.mask(target), reference, truth, keep)
+        return regions(reference, truth, keep)

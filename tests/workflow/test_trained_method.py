@@ -1,0 +1,93 @@
+"""A method that trains is one folder beside the others: no file of the suite knows its name."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+PROJECT = Path(__file__).parents[2]
+OVERLAY = """\
+run: mine
+resolution: [48, 72]
+datasets:
+  street: {options: {frames: 1, samples: 1}, partitions: {test: [junction-201]}}
+  street-train: {options: {frames: 1, samples: 1}, partitions: {geometry: [], train: [curve-301]}}
+geometry: {model: lidar, finetune: null}
+trainings:
+  mine:
+    steps: 20
+    variants: {quick: {steps: 10}, broken: {learning_rate: 1.0e+30}}
+protocol: {pose_sweep: {angles: []}}
+tables: {ablation: mine}
+stability: {datasets: []}
+methods:
+  mean-colour: {}
+  mine: {seeds: [0, 1]}
+  mine.quick: {training: quick}
+  mine.broken: {training: broken}
+"""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A copy of the project, and a function that runs its modules there."""
+    folder = tmp_path_factory.mktemp("project")
+    for name in ("geoevs", "baselines", "workflow", "profiles"):
+        shutil.copytree(PROJECT / name, folder / name)
+    for name in ("Snakefile", "config.yaml"):
+        shutil.copy(PROJECT / name, folder / name)
+
+    def run(*arguments: str) -> subprocess.CompletedProcess:
+        return subprocess.run(
+            [sys.executable, "-m", *arguments],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(folder)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return folder, run
+
+
+def files(folder: Path) -> set[str]:
+    paths = (path for path in folder.rglob("*") if "__pycache__" not in path.parts)
+    return {str(path.relative_to(folder)) for path in paths if path.is_file()}
+
+
+def test_one_folder_adds_a_trained_method_with_variants_seeds_and_failures(project):
+    folder, run = project
+    before = files(folder)
+    made = run("geoevs.cli.main", "new-adapter", "mine", "--training")
+    assert made.returncode == 0, made.stderr
+    parts = ("__init__", "adapter", "training", "network")
+    own = {f"baselines/mine/{part}.py" for part in parts}
+    assert files(folder) - before == own | {"tests/baselines/test_mine.py"}
+
+    everybody = yaml.safe_load((folder / "config.yaml").read_text())["methods"]
+    nobody = dict.fromkeys(everybody)
+    overlay = yaml.safe_load(OVERLAY)
+    overlay["methods"] = nobody | overlay["methods"]
+    overlay["stability"]["methods"] = nobody
+    (folder / "mine.yaml").write_text(yaml.safe_dump(overlay))
+    scores = "results/mine/scores.parquet"
+    arguments = ("--cores", "2", "--configfile", "config.yaml", "mine.yaml", "--", scores)
+    done = run("snakemake", *arguments)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+    rows = pd.read_parquet(folder / scores)
+    rows = rows[rows["method"] == "mine"]
+    status = {entrant: set(part["status"]) for entrant, part in rows.groupby(["variant", "seed"])}
+    fine = {("default", 0), ("default", 1), ("quick", 0)}
+    assert status.keys() == fine | {("broken", 0)}
+    assert all("ok" in status[entrant] and "failed" not in status[entrant] for entrant in fine)
+    assert status["broken", 0] == {"failed"}
+    assert rows[rows["variant"] == "broken"]["reason"].str.startswith("its training failed: ").all()
+    trained = folder / "results/mine/trained/mine"
+    seeds = [(trained / f"default.seed{n}/correction.npz").read_bytes() for n in (0, 1)]
+    assert seeds[0] != seeds[1]
