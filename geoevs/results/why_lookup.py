@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from geoevs import layout
+from geoevs.config.trainings import training_of, training_settings
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, whole_file
 from geoevs.protocol.entries import DEFAULT, MethodEntry, label_of, name_of
@@ -191,11 +192,9 @@ class Record:
         for name in dict.fromkeys(names):
             method = self.config["methods"].get(name) or {}
             lines.append(f"methods.{name}: {method}")
-            training = self.config.get("training", {})
-            if method.get("training") in training.get("variants", {}):
-                common = {key: value for key, value in training.items() if key != "variants"}
-                variant = training["variants"][method["training"]]
-                lines.append(f"training.{method['training']}: {common | variant}")
+            training = training_of(name.partition(".")[0], method.get("training", ""))
+            if training and "trainings" in self.config:
+                lines.append(f"trainings {training}: {training_settings(self.config, training)}")
         return [*lines, f"tables: {self.config['tables']}"]
 
     def command(self, found: Found, table: str) -> str:

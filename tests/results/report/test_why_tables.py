@@ -70,7 +70,7 @@ def run(rows, tmp_path):
     ):
         write_bytes(tmp_path / name, frame.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"geo-evs.v1": {"training": "v1"}}}
-    config["training"] = {"steps": 9, "variants": {"v1": {"masks": "none"}}}
+    config["trainings"] = {"geo-evs": {"steps": 9, "variants": {"v1": {"masks": "none"}}}}
     who = {"name": "A name", "paradigm": "a paradigm", "extra_prior": "all", "needs": ""}
     names = ("geo-evs.v1", "three-dgs")
     write_json(tmp_path / layout.ENTRANTS, dict.fromkeys(names, who))
