@@ -25,11 +25,11 @@ NEEDS = ("lidar", "tracks", "sfm", "training")
 
 @dataclass(frozen=True)
 class MethodInfo:
-    """What a method says of itself.
+    """What a method says of itself; tables show all but the citation.
 
     Args:
         name: as people write it, such as `Street Gaussians`.
-        paradigm: `control`, `reconstruction`, `diffusion`, ...
+        paradigm: `reconstruction`, `diffusion`, ...; `control` sets it apart from methods.
         extra_prior: what it knew before it saw the scene, such as `Stable Diffusion`.
         needs: which of NEEDS it uses; `Views` refuses what is not declared.
         citation: where it was published.

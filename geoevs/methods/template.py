@@ -28,7 +28,7 @@ class Method:
     Fields with a default are options, set in the config; what `fit` learns has `init=False`.
     """
 
-    # Tables print this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
+    # Tables show this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
     info: ClassVar[MethodInfo] = MethodInfo("{name}", paradigm="reconstruction")
     views: Views = field(init=False)
 
@@ -87,7 +87,7 @@ class Method:
         weights: the folder that `train` of training.py wrote; the config's training gives it.
     """
 
-    # Tables print this. LiDAR and boxes are refused unless declared, beside "training".
+    # Tables show this. LiDAR and boxes are refused unless declared, beside "training".
     info: ClassVar[MethodInfo] = MethodInfo("{name}", paradigm="learned", needs=("training",))
     weights: str
     views: Views = field(init=False)
