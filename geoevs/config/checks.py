@@ -17,8 +17,8 @@ from geoevs.config.trainings import check_trainings
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import check_options
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
+from geoevs.methods.contract import ORACLES
 from geoevs.methods.finding import find_methods, find_trainings
-from geoevs.protocol.entries import ORACLES
 from geoevs.protocol.stability import levels_of
 from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.scenes.scene import source_class

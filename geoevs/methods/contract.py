@@ -20,6 +20,12 @@ from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, PointCloud, Rig
 from geoevs.scenes.store import Scene, write_scene
 
+ORACLES = ("reference", "truth")
+"""Controls that copy what scores a method. No adapter can see that, so no method has their name."""
+
+CONTROL = "control"
+"""The paradigm of ORACLES, and of methods that only mark a floor or a simple baseline."""
+
 NEEDS = ("lidar", "tracks", "sfm", "training")
 
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from geoevs.methods.contract import MethodInfo
+from geoevs.methods.contract import CONTROL, ORACLES, MethodInfo
 from geoevs.methods.finding import make_method, method_class
-from geoevs.protocol.entries import CONTROL, ORACLES, MethodEntry
+from geoevs.protocol.entries import MethodEntry
 
 
 def describe_entrants(options: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:

@@ -6,13 +6,9 @@ from typing import Any
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
+from geoevs.methods.contract import ORACLES
 
-REFERENCE, TRUTH = "reference", "truth"
-ORACLES = (REFERENCE, TRUTH)
-"""Controls that copy what scores a method. No adapter can see that, so they are none."""
-
-CONTROL = "control"
-"""The paradigm of ORACLES, and of methods that only mark a floor or a simple baseline."""
+REFERENCE, TRUTH = ORACLES
 
 FLOOR = "mean-colour"
 """The control that every method should beat; those that do not are flagged."""

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
-from geoevs.protocol.entries import FLOOR, ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FLOOR
 from geoevs.results.bootstrap import redraw, summarise
 from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.settings import TableSettings

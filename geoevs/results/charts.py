@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pandas as pd
 
-from geoevs.protocol.entries import FAILED, ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FAILED
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from geoevs.protocol.entries import CONTROL, FAILED
+from geoevs.methods.contract import CONTROL
+from geoevs.protocol.entries import FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.formats import markdown_grid, write_formats

@@ -397,6 +397,14 @@ def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
         check("reference: {}", "needy: {options: {a: 1}}")
 
 
+def test_a_folder_with_the_name_of_a_control_is_refused(check, tmp_path, monkeypatch):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth/adapter.py").write_text("")
+    monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
+    with pytest.raises(GeoEvsError, match=r"^baselines/truth/adapter.py: 'truth' is the contr"):
+        check("seed: 3", "seed: 4")
+
+
 def test_a_method_that_cannot_be_imported_fails_alone(check, tmp_path, monkeypatch):
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/adapter.py").write_text("raise ValueError('half written')\n")

@@ -7,8 +7,9 @@ import pytest
 
 import baselines
 from geoevs.core.files import write_json
+from geoevs.methods.contract import ORACLES
 from geoevs.protocol.entrants import describe_entrants
-from geoevs.protocol.entries import FLOOR, ORACLES
+from geoevs.protocol.entries import FLOOR
 from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
 from geoevs.results.tables import make_table

@@ -15,7 +15,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
-from geoevs.protocol.entries import ORACLES
+from geoevs.methods.contract import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
-from geoevs.protocol.entries import FLOOR, ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.bootstrap import PairedDifference
 from geoevs.results.charts import speed_accuracy
