@@ -1,4 +1,4 @@
-"""Whether two runs are the same is said of every value and picture, and of nothing that is timed."""
+"""Two runs are compared in every value and picture, and in nothing that is timed."""
 
 import shutil
 
