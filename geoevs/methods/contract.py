@@ -26,6 +26,9 @@ ORACLES = ("reference", "truth")
 CONTROL = "control"
 """The paradigm of ORACLES, and of methods that only mark a floor or a simple baseline."""
 
+DEFAULT = "default"
+"""The variant of an entrant, or of a training, whose name in the config is its method's alone."""
+
 NEEDS = ("lidar", "tracks", "sfm", "training")
 
 

@@ -6,15 +6,12 @@ from typing import Any
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
-from geoevs.methods.contract import ORACLES
+from geoevs.methods.contract import DEFAULT, ORACLES
 
 REFERENCE, TRUTH = ORACLES
 
 FLOOR = "mean-colour"
 """The control that every method should beat; those that do not are flagged."""
-
-DEFAULT = "default"
-"""The variant of an entrant whose name in the config is its method's alone."""
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 

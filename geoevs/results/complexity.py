@@ -7,7 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.entries import DEFAULT, FAILED
+from geoevs.methods.contract import DEFAULT
+from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise

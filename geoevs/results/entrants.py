@@ -10,8 +10,8 @@ import pandas as pd
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
-from geoevs.methods.contract import CONTROL
-from geoevs.protocol.entries import DEFAULT, name_of
+from geoevs.methods.contract import CONTROL, DEFAULT
+from geoevs.protocol.entries import name_of
 from geoevs.results.paper import paper_method
 
 ENTRANT = ["dataset", "method", "variant"]

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
-from geoevs.protocol.entries import DEFAULT
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import redraw

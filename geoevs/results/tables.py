@@ -5,7 +5,8 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.entries import DEFAULT, FLOOR
+from geoevs.methods.contract import DEFAULT
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.weights import UNAVAILABLE

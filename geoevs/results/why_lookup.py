@@ -13,7 +13,8 @@ from geoevs import layout
 from geoevs.config.trainings import training_of, training_settings
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, whole_file
-from geoevs.protocol.entries import DEFAULT, MethodEntry, label_of, name_of
+from geoevs.methods.contract import DEFAULT
+from geoevs.protocol.entries import MethodEntry, label_of, name_of
 from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
 from geoevs.scenes.camera import view_key

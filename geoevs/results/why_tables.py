@@ -6,8 +6,9 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.depth_scoring import CONTROL, FINE_TUNED, PRETRAINED
-from geoevs.protocol.entries import DEFAULT, FAILED, MethodEntry, name_of
+from geoevs.protocol.entries import FAILED, MethodEntry, name_of
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results import ablation, complexity, costs, geometry_table, rank_agreement
 from geoevs.results.paper import paper_values
