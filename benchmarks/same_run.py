@@ -37,8 +37,9 @@ TIMED = ("seconds", "memory", "bytes", "fingerprint", "log", "note", "threads", 
 """Parts of the names of columns that no two runs share, or that say how and not what."""
 
 NAMES = ("name", "paradigm", "extra_prior", "needs", "citation", "group")
-UNTIMED_TABLES = ("costs",)
+TIMED_TABLES = ("costs",)
 NETWORKS = "*.safetensors"
+COLUMN = ".csv column "
 
 
 def digest_of(run: Path) -> dict[str, str]:
@@ -52,8 +53,9 @@ def digest_of(run: Path) -> dict[str, str]:
         if (run / file).exists():
             found |= _row_hashes(pd.read_parquet(run / file), file, keys)
     for table in sorted((run / "tables").glob("*.csv")):
-        if table.stem not in UNTIMED_TABLES:
-            found[f"tables/{table.name}"] = _hash(_comparable(pd.read_csv(table)).to_csv())
+        if table.stem not in TIMED_TABLES:
+            columns = _comparable(pd.read_csv(table))
+            found |= {_column_key(table, name): _hash(columns[name].to_csv()) for name in columns}
     for folder in sorted((run / "renders").glob("*/*/*/")):
         pictures = sorted(folder.rglob("*.png"))
         text = "".join(f"{p.relative_to(folder)} {_hash(p.read_bytes())}\n" for p in pictures)
@@ -65,8 +67,9 @@ def digest_of(run: Path) -> dict[str, str]:
 
 def differences(first: dict[str, str], second: dict[str, str]) -> list[str]:
     """What only one of two digests has, or what differs between them: a line each."""
-    lines = [f"only in the first: {key}" for key in first if key not in second]
-    lines += [f"only in the second: {key}" for key in second if key not in first]
+    alone = [f"only in the first: {key}" for key in first if key not in second]
+    alone += [f"only in the second: {key}" for key in second if key not in first]
+    lines = [line for line in alone if COLUMN not in line]
     return lines + [f"differs: {key}" for key in first if second.get(key, first[key]) != first[key]]
 
 
@@ -87,6 +90,10 @@ def _comparable(table: pd.DataFrame) -> pd.DataFrame:
         column for column in table if column in NAMES or any(part in str(column) for part in TIMED)
     ]
     return table.drop(columns=dropped)
+
+
+def _column_key(table: Path, name: str) -> str:
+    return f"tables/{table.stem}{COLUMN}{name}"
 
 
 def _network_key(path: Path) -> str:

@@ -58,7 +58,7 @@ def test_a_run_is_itself_whatever_the_order_of_rows_and_what_is_timed(run, tmp_p
     def change(copy):
         rows = pd.read_parquet(copy / "scores.parquet")
         rows[::-1].assign(fingerprint="other").to_parquet(copy / "scores.parquet")
-        rewrite(copy / "tables/extrapolation.csv", fit_seconds=9.0, name="A")
+        rewrite(copy / "tables/extrapolation.csv", fit_seconds=9.0, name="A", another=1)
 
     assert changed(run, tmp_path, change) == []
 
@@ -79,7 +79,7 @@ def test_tables_pictures_and_networks_count(run, tmp_path):
         (copy / "trained/a/v1.seed0/net.safetensors").write_bytes(b"other")
 
     assert changed(run, tmp_path, change) == [
-        "differs: tables/extrapolation.csv",
+        "differs: tables/extrapolation.csv column psnr",
         "differs: renders/d/s/a",
         "differs: networks v1.seed0/net.safetensors",
     ]
