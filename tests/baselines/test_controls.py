@@ -183,7 +183,7 @@ def test_unknown_inpainting_is_refused():
 
 @pytest.mark.parametrize("name", ["reproject", "reproject-inpaint"])
 def test_unknown_frames_are_refused(name):
-    with pytest.raises(GeoEvsError, match=r"^the option 'frames' is 'al'; did you mean 'all'"):
+    with pytest.raises(GeoEvsError, match=r"'al' for its option 'frames'; did you mean 'all'"):
         make_method(name, {"frames": "al"})
 
 

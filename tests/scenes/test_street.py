@@ -9,7 +9,7 @@ import pytest
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import TRACK_COLUMNS, SceneRef
+from geoevs.scenes.scene import TRACK_COLUMNS, SceneRef, load_source
 from geoevs.scenes.sources.street.finishes import make_finishes
 from geoevs.scenes.sources.street.layout import LAYOUTS, make_street
 from geoevs.scenes.sources.street.lidar import RANGE_NOISE, scan
@@ -397,10 +397,10 @@ def test_frames_that_do_not_exist_are_refused(source):
 
 
 def test_options_out_of_range_are_refused():
-    with pytest.raises(GeoEvsError, match="'traffic_speed' is 99; choose from 0 to 40"):
-        Source(8, 8, traffic_speed=99)
-    with pytest.raises(GeoEvsError, match="'frames' is 0"):
-        Source(*SIZE, frames=0)
+    with pytest.raises(GeoEvsError, match="99 for its option 'traffic_speed'; choose from 0 to 40"):
+        load_source("street", 8, 8, {"traffic_speed": 99})
+    with pytest.raises(GeoEvsError, match="0 for its option 'frames'; choose from 1 to 60"):
+        load_source("street", *SIZE, {"frames": 0})
 
 
 def test_mitsuba_is_imported_only_to_render():

@@ -175,9 +175,9 @@ def test_all_sky_is_fitted(tmp_path):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"iterations": 0}, "option 'iterations' is 0; make it positive"),
-        ({"samples": (8, 4)}, r"option 'samples' is \(8, 4\); give three"),
-        ({"levels": 2}, "option 'levels' is 2"),
+        ({"iterations": 0}, "0 for its option 'iterations'; make it 1 or more"),
+        ({"samples": (8, 4)}, r"\(8, 4\) for its option 'samples'; write a list of 3"),
+        ({"levels": 2}, "2 for its option 'levels'; make it 4 or more"),
         ({"raise": 2}, "no option 'raise'; did you mean 'rays'"),
     ],
 )
