@@ -90,5 +90,5 @@ def test_the_fewest_gaussians_are_enough(scene, name, densification):
 
 
 def test_an_unknown_densification_is_one_sentence_before_a_fit():
-    with pytest.raises(GeoEvsError, match="'grad' for its .*; did you mean 'gradient'"):
+    with pytest.raises(GeoEvsError, match=r"'grad' for its .*; did you mean 'gradient'"):
         make_method("three-dgs", {"densification": "grad"})
