@@ -37,7 +37,7 @@ def tiny_camera(name: str, yaw: float, centre: np.ndarray) -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = [[s, 0, c], [-c, 0, s], [0, -1, 0]]
     pose[:3, 3] = centre
-    K = [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     return Camera(K, pose, HEIGHT, WIDTH, name)
 
 

@@ -50,7 +50,7 @@ class Inputs:
 class Training(Protocol):
     """How a method learns beforehand; its class is called `Training` and takes no arguments."""
 
-    Settings: ClassVar[type]
+    Settings: ClassVar[type[Any]]
     """A dataclass: the schema and the defaults of the method's section under `trainings`."""
     partition: ClassVar[str]
     """Whose scenes it learns from, one of PARTITIONS."""
@@ -98,7 +98,7 @@ class CombinedTraining(Protocol):
         ...
 
 
-def check_training_class(kind: type, where: str) -> None:
+def check_training_class(kind: type[Any], where: str) -> None:
     """Check that a class keeps the contract, as far as can be told without running it.
 
     Args:

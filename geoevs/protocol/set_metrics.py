@@ -35,7 +35,7 @@ def texture_features(image: np.ndarray) -> np.ndarray:
     neighbouring pixels, 0.5 log(mean(d^2) + e^2) and log(mean(|d|) + e). Blur lowers these,
     noise raises them, and holes pull the two apart.
     """
-    level = image.astype(np.float32)
+    level: np.ndarray = image.astype(np.float32)
     features = [level.mean(axis=(0, 1)), np.log(level.std(axis=(0, 1)) + DARKEST)]
     for _ in range(LEVELS):
         for axis in (0, 1):

@@ -157,7 +157,8 @@ def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np
     The share varies little, so every sixth lattice decides it; comparing the same rays makes it
     exactly 1 in the shade.
     """
-    total, rays, glow, whole = 0.0, 0.0, 0.0, 0.0
+    total, glow, whole = np.zeros((3, 1, 1, 1), np.float32)
+    rays = np.zeros((1, 1, 1))
     for number, shift in enumerate(shifts):
         lattice = Lattice(camera, shift)
         seen = lattice.per_pixel(lattice.see(scene, "lit"))
@@ -170,7 +171,7 @@ def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np
 
 def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
     """(H, W, 3) what glossy surfaces mirror."""
-    total, rays = 0.0, 0.0
+    total, rays = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 1))
     for shift in shifts:
         lattice = Lattice(camera, shift)
         # In the mirror scene only glossy surfaces are without a glow of their own.
