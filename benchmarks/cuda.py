@@ -107,10 +107,13 @@ def geo_evs(prior: Prior, paper: bool) -> list[str]:
     """Train and sample; cells of a row."""
     pairs, library = training_set()
     settings = Settings(
-        **{"prior": "", "prediction": None, "schedule": None, "steps": 10**6, "batch": BATCH},
-        **{"learning_rate": 1e-4, "drop": 0.1, "encoder": "trained", "validity": not paper},
-        **{"filled": not paper, "weighting": "uniform", "timesteps": "uniform"},
-        **{"masks": "reprojected", "probability": 0.4, "sampling": {"steps": 1}},
+        prediction=None,
+        timesteps="uniform",
+        steps=10**6,
+        batch=BATCH,
+        learning_rate=1e-4,
+        validity=not paper,
+        filled=not paper,
     )
     torch.cuda.reset_peak_memory_stats()
     prior.autoencoder.to("cuda")

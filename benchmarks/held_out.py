@@ -27,12 +27,12 @@ from geoevs.core.files import to_float
 from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.moving import moving_pixels
-from geoevs.methods.contract import Adapter, Budget, Rendering, Views
+from geoevs.methods.contract import ORACLES, Adapter, Budget, Rendering, Views
 from geoevs.methods.finding import make_method, method_class
 from geoevs.projection import colour_frame
 from geoevs.protocol.clock import timed
 from geoevs.protocol.depth_scoring import FARTHEST
-from geoevs.protocol.entries import ORACLES, MethodEntry
+from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.targets import make_targets
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, SceneRef, load_source

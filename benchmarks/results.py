@@ -6,6 +6,7 @@ The rows are drawn, not measured: they have a run's columns, entrants and splits
 process of its own, as in the workflow.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -40,7 +41,7 @@ ENTRANTS = [
 SPLITS = {"observed": 5, "interpolation": 1, "extrapolation": 4, "pose-sweep": 20}
 SETTINGS = (
     '{"pose_bins": [0, 5, 10, 15, 20, 30], "support_bins": [0, 0.02, 0.05, 0.1],'
-    ' "resamples": 1000, "confidence": 0.95}'
+    ' "resamples": 1000, "confidence": 0.95, "ablation": "geo-evs"}'
 )
 
 
@@ -147,8 +148,13 @@ def main() -> None:
             writer = get_context("spawn").Process(target=write_rows, args=(count, parts, costs))
             writer.start()
             writer.join()
+            who = f"{folder}/entrants.json"
+            measure(
+                "entrants", "--options", json.dumps({name: {} for name in ENTRANTS}), "--out", who
+            )
             files = [str(path) for path in sorted(parts.iterdir())]
-            options = ("--scores", str(scores), "--settings", SETTINGS, "--out", f"{folder}/out")
+            options = ("--scores", str(scores), "--settings", SETTINGS, "--entrants", who)
+            options += ("--out", f"{folder}/out")
             steps = {
                 "collect": ("collect", *files, "--out", str(scores)),
                 "table extrapolation": ("table", "extrapolation", *options),

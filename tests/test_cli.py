@@ -147,10 +147,27 @@ def test_options_that_are_not_json_are_one_sentence(geoevs, tmp_path, text, sent
 
 
 def test_an_unknown_table_is_named(geoevs, tmp_path):
-    settings = ("--settings", "{}", "--out", tmp_path / "t")
+    settings = ("--settings", "{}", "--entrants", tmp_path / "e", "--out", tmp_path / "t")
     code, _, errors = geoevs("table", "interpolate", "--scores", tmp_path / "none", *settings)
     assert code == 1
     assert errors.startswith("error: there is no table 'interpolate'; did you mean 'interpolation'")
+
+
+def test_settings_of_tables_are_checked(geoevs, tmp_path):
+    given = ("--scores", tmp_path / "s", "--entrants", tmp_path / "e", "--out", tmp_path / "t")
+    geoevs("entrants", "--options", "{}", "--out", tmp_path / "e")
+    pd.DataFrame().to_parquet(tmp_path / "s")
+    code, _, errors = geoevs("ablation-table", *given, "--settings", '{"resample": 9}')
+    assert code == 1
+    assert errors.startswith("error: the section 'tables' has no option 'resample'; did you mean")
+
+
+def test_entrants_are_written_down(geoevs, tmp_path):
+    options = '{"truth": {}, "mean-colour": {}}'
+    path = tmp_path / "entrants.json"
+    assert geoevs("entrants", "--options", options, "--out", path) == (0, "", "")
+    names = {name: found["name"] for name, found in json.loads(path.read_text()).items()}
+    assert names == {"truth": "Truth", "mean-colour": "Mean colour"}
 
 
 def test_a_scene_without_its_data_set_is_named(geoevs, tmp_path):

@@ -8,11 +8,11 @@ import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
 from baselines.freevs.sampling import Guidance, Sampling, SigmaMax
-from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
 from geoevs.core.settings import Count
+from geoevs.diffusion.sampled_method import SampledMethod
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
-from geoevs.methods.trained import asked_options, link_trained, read_trained, trained_seconds
+from geoevs.methods.trained import trained_seconds
 from geoevs.scenes.camera import Camera
 
 if TYPE_CHECKING:
@@ -20,15 +20,12 @@ if TYPE_CHECKING:
 
 # torch is imported where networks are made: configs are checked without one.
 
-SAMPLING_OPTIONS = ("steps", "guidance", "sigma_max", "average")
-
 
 @dataclass
-class Method:
+class Method(SampledMethod):
     """The published method at the size of this suite's scenes; see docs/freevs.md.
 
     Args:
-        weights: what `geoevs train freevs` wrote.
         steps, guidance, sigma_max, average: see `Sampling`; None takes what it was trained for.
     """
 
@@ -39,24 +36,19 @@ class Method:
         needs=("lidar", "tracks", "training"),
         citation="Wang et al.: FreeVS, ICLR 2025",
     )
-    weights: str
+    sampling: ClassVar[type] = Sampling
     steps: Count | None = None
     guidance: Guidance | None = None
     sigma_max: SigmaMax | None = None
     average: Count | None = None
     _views: Views = field(init=False)
     _sweeps: Sweeps = field(init=False)
-    _generator: "ClipGenerator" = field(init=False)
-    _sampling: Sampling = field(init=False)
-    _seed: int = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Sort the scene's LiDAR points; the networks were trained before."""
         self._load_trained()
         self._views, self._sweeps = views, Sweeps.read(views)
-        self._seed = int(rng.numpy.integers(2**31))
-        networks = self._generator.autoencoder, self._generator.denoiser
-        parameters = sum(p.numel() for network in networks for p in network.parameters())
+        self._draw_seed(rng)
         notes = ["primitives are LiDAR points with a colour"]
         if not self._sweeps.count:
             notes.append("there are none: pictures are the prior's alone")
@@ -65,7 +57,7 @@ class Method:
         if len(views.frames) == 1:
             notes.append("one frame: no neighbours' points, and its clip repeats it")
         seconds = trained_seconds(Path(self.weights))
-        return FitReport(self._sweeps.count, parameters, "; ".join(notes), seconds)
+        return FitReport(self._sweeps.count, self._parameters(), "; ".join(notes), seconds)
 
     def render(self, camera: Camera, frame: int) -> Rendering:
         """Generate the clip around the view; `support` and `depth` are its pseudo-image's."""
@@ -84,8 +76,7 @@ class Method:
         ]
         images = np.stack([raster.image * keep[..., None] for raster in shown], dtype=np.float32)
         valid = np.stack([raster.mask & keep for raster in shown])
-        # The view's own noise, whatever was rendered before.
-        random = Rng(self._seed, camera.name, str(frame)).torch
+        random = self._noise_of(camera, frame)
         (generated,) = self._generator.generate(images, valid, self._sampling, random)
         middle = self._generator.middle
         return Rendering(generated, shown[middle].depth * keep, valid[middle])
@@ -106,29 +97,20 @@ class Method:
         motion = then.world_from_camera @ now.camera_from_world
         return replace(camera, world_from_camera=motion @ camera.world_from_camera)
 
-    def _load_trained(self) -> None:
-        """Read the networks, and how they sample."""
+    def _read_generator(self, folder: Path) -> "ClipGenerator":
         from baselines.freevs.model import ClipGenerator
 
-        settings = read_trained(Path(self.weights))
-        asked = asked_options(self, SAMPLING_OPTIONS)
-        self._sampling = Sampling(**settings["sampling"] | asked)
-        self._generator = ClipGenerator.load(Path(self.weights))
+        return ClipGenerator.load(folder)
 
     def save(self, folder: Path) -> None:
         """Write the views; link the weights, which many scenes share."""
         self._views.save(folder / "views")
-        link_trained(Path(self.weights), folder / "weights")
-        options = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
-        write_json(folder / "options.json", {**options, "seed": self._seed})
+        self._save_trained(folder)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
-        options = read_json(folder / "options.json")
-        seed = options.pop("seed")
-        method = cls(str(folder / "weights"), **options)
-        method._load_trained()
+        method = cls._load_saved(folder)
         method._views = Views.load(folder / "views")
-        method._sweeps, method._seed = Sweeps.read(method._views), seed
+        method._sweeps = Sweeps.read(method._views)
         return method

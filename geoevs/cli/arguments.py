@@ -12,6 +12,8 @@ from geoevs.core.errors import GeoEvsError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from geoevs.results.settings import TableSettings
+
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
 Dataset = Annotated[str, typer.Option(help="The data set's name in the config.")]
 SceneInRun = Annotated[str, typer.Option(help="The scene's name in the config.")]
@@ -20,7 +22,8 @@ Out = Annotated[Path, typer.Option(help="What to write, whole or not at all.")]
 Scores = Annotated[Path, typer.Option(help="The run's scores.parquet.")]
 Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
 SetScores = Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")]
-TableSettings = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
+TablesSection = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
+EntrantsFile = Annotated[Path, typer.Option(help="What `geoevs entrants` wrote: who plays.")]
 Work = Annotated[
     Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
 ]
@@ -47,6 +50,17 @@ def parse_json(option: str, text: str, kind: type = dict) -> Any:
     if not isinstance(value, kind):
         raise GeoEvsError(f"{option} is {text}; write a JSON {EXAMPLES[kind]}")
     return value
+
+
+def table_settings(section: str) -> "TableSettings":
+    """The config's tables section.
+
+    Raises:
+        GeoEvsError: it is not JSON, or has another key, or a value of another type.
+    """
+    from geoevs.results.settings import TableSettings
+
+    return TableSettings.parse(parse_json("--settings", section))
 
 
 def scene_pairs(scenes: Sequence[str]) -> list[tuple[str, str]]:

@@ -5,7 +5,17 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Dataset, Out, Run, SceneInRun, parse_json, read_rows
+from geoevs.cli.arguments import (
+    Dataset,
+    EntrantsFile,
+    Out,
+    Run,
+    SceneInRun,
+    TablesSection,
+    parse_json,
+    read_rows,
+    table_settings,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -37,10 +47,12 @@ def audit_scene(
 
 def audit_page(
     rows: Annotated[Path, typer.Option(help="The audit's rows.")],
-    settings: Annotated[str, typer.Option(help="The config's tables section, as JSON.")],
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="The folder for its page, tables and charts.")],
 ) -> None:
     """Say in words, tables and charts how far the sparse metric can be trusted."""
     from geoevs.results.audit_page import write_audit
+    from geoevs.results.entrants import Entrants
 
-    write_audit(out, read_rows(rows), parse_json("--settings", settings))
+    write_audit(out, read_rows(rows), table_settings(settings), Entrants.read(entrants))

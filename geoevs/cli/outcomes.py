@@ -8,14 +8,16 @@ import typer
 
 from geoevs.cli.arguments import (
     Costs,
+    EntrantsFile,
     Out,
     Run,
     Scores,
     SetScores,
-    TableSettings,
+    TablesSection,
     parse_json,
     read_rows,
     scene_pairs,
+    table_settings,
 )
 
 RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
@@ -26,6 +28,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (
         collect,
+        entrants,
         grid,
         chart,
         report,
@@ -46,6 +49,19 @@ def collect(
     from geoevs.core.parquet import join_parquet
 
     join_parquet(out, parts)
+
+
+def entrants(
+    options: Annotated[
+        str, typer.Option(help="The options of every entrant, by its name in the config, as JSON.")
+    ],
+    out: Out,
+) -> None:
+    """Write down what each entrant says of itself: name, paradigm, prior, needs, citation."""
+    from geoevs.core.files import write_json
+    from geoevs.protocol.entrants import describe_entrants
+
+    write_json(out, describe_entrants(parse_json("--options", options)))
 
 
 def grid(
@@ -72,16 +88,18 @@ def chart(
     name: Annotated[str, typer.Argument(help="The table whose views to chart.")],
     scores: Scores,
     costs: Costs,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
     sets: SetScores = None,
 ) -> None:
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.results.chart_pages import write_chart
+    from geoevs.results.entrants import Entrants
 
+    parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets)
-    parsed = parse_json("--settings", settings)
-    write_chart(out, name, read_rows(scores), read_rows(costs), parsed, distances)
+    write_chart(out, name, read_rows(scores), read_rows(costs), parsed, who, distances)
 
 
 def report(

@@ -7,13 +7,15 @@ import typer
 
 from geoevs.cli.arguments import (
     Dataset,
+    EntrantsFile,
     Out,
     Run,
     SceneFolder,
     SceneInRun,
-    TableSettings,
+    TablesSection,
     parse_json,
     read_rows,
+    table_settings,
 )
 
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
@@ -103,13 +105,16 @@ def stability_score(
 
 def stability_table(
     scores: Annotated[Path, typer.Option(help="The stability suite's score rows.")],
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="The folder for its tables.")],
 ) -> None:
     """Make the curves, the breaking points and the seed spread as CSV, and a page of the latter."""
+    from geoevs.results.entrants import Entrants
     from geoevs.results.stability_page import write_stability
 
-    write_stability(out, read_rows(scores), parse_json("--settings", settings))
+    who = Entrants.read(entrants)
+    write_stability(out, read_rows(scores), table_settings(settings), who)
 
 
 def stability_chart(

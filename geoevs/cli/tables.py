@@ -7,11 +7,12 @@ import typer
 
 from geoevs.cli.arguments import (
     Costs,
+    EntrantsFile,
     Scores,
     SetScores,
-    TableSettings,
-    parse_json,
+    TablesSection,
     read_rows,
+    table_settings,
 )
 
 TableOut = Annotated[Path, typer.Option(help="Path without suffix; .csv, .md ... are added.")]
@@ -34,66 +35,78 @@ def register(app: typer.Typer) -> None:
 def table(
     name: Annotated[str, typer.Argument(help="extrapolation, interpolation, observed, ...")],
     scores: Scores,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: TableOut,
     sets: SetScores = None,
 ) -> None:
     """Make one table as CSV, Markdown and LaTeX."""
+    from geoevs.results.entrants import Entrants
     from geoevs.results.formats import write_table
-    from geoevs.results.tables import table_spec
+    from geoevs.results.table_specs import table_spec
 
     table_spec(name)  # a mistake in the name is said before one in the files
+    parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets)
-    write_table(out, name, read_rows(scores), parse_json("--settings", settings), distances)
+    write_table(out, name, read_rows(scores), parsed, who, distances)
 
 
-def ablation_table(scores: Scores, settings: TableSettings, out: TableOut) -> None:
-    """Compare the variants of Geo-EVS with the full model, as CSV, Markdown and LaTeX."""
+def ablation_table(
+    scores: Scores, settings: TablesSection, entrants: EntrantsFile, out: TableOut
+) -> None:
+    """Compare a method's variants with the full model, as CSV, Markdown and LaTeX."""
     from geoevs.results.ablation import write_ablation_table
+    from geoevs.results.entrants import Entrants
 
-    write_ablation_table(out, read_rows(scores), parse_json("--settings", settings))
+    who = Entrants.read(entrants)
+    write_ablation_table(out, read_rows(scores), table_settings(settings), who)
 
 
-def cost_table(costs: Costs, out: TableOut) -> None:
+def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Make the table of times, memory and sizes as CSV and Markdown."""
     from geoevs.results.costs import write_cost_table
+    from geoevs.results.entrants import Entrants
 
-    write_cost_table(out, read_rows(costs))
+    write_cost_table(out, read_rows(costs), Entrants.read(entrants))
 
 
 def geometry_table(
     scores: Annotated[Path, typer.Option(help="The run's depth-scores.parquet.")],
-    settings: TableSettings,
+    settings: TablesSection,
     out: TableOut,
 ) -> None:
     """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
     from geoevs.results.geometry_table import write_geometry_table
 
-    write_geometry_table(out, read_rows(scores), parse_json("--settings", settings))
+    write_geometry_table(out, read_rows(scores), table_settings(settings))
 
 
-def complexity_table(scores: Scores, costs: Costs, out: TableOut) -> None:
+def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
     from geoevs.results.complexity import write_complexity_table
+    from geoevs.results.entrants import Entrants
 
-    write_complexity_table(out, read_rows(scores), read_rows(costs))
+    who = Entrants.read(entrants)
+    write_complexity_table(out, read_rows(scores), read_rows(costs), who)
 
 
 def complexity_chart(
     scores: Scores,
     costs: Costs,
-    settings: TableSettings,
+    settings: TablesSection,
+    entrants: EntrantsFile,
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
     from geoevs.results.complexity_chart import write_size_chart
+    from geoevs.results.entrants import Entrants
 
-    rows, parsed = read_rows(scores), parse_json("--settings", settings)
-    write_size_chart(out, rows, read_rows(costs), parsed)
+    parsed, who = table_settings(settings), Entrants.read(entrants)
+    write_size_chart(out, read_rows(scores), read_rows(costs), parsed, who)
 
 
-def rank_agreement(scores: Scores, settings: TableSettings, out: TableOut) -> None:
+def rank_agreement(scores: Scores, settings: TablesSection, out: TableOut) -> None:
     """Compare the order of methods with the paper's, as CSV and Markdown."""
     from geoevs.results.rank_agreement import write_rank_agreement
 
-    write_rank_agreement(out, read_rows(scores), parse_json("--settings", settings))
+    write_rank_agreement(out, read_rows(scores), table_settings(settings))

@@ -7,7 +7,7 @@ import typer
 
 from geoevs.cli.arguments import Out, Run, SceneFolder, Seed, Work, parse_json, scene_pairs
 
-Method = Annotated[str, typer.Argument(help="A method that trains, such as geo-evs.")]
+Method = Annotated[str, typer.Argument(help="The name of a method that trains.")]
 
 
 def register(app: typer.Typer) -> None:

@@ -46,7 +46,7 @@ class ArtifactInjection:
         if self.kind in ("boxes", "reprojected") and self.library is None:
             raise GeoEvsError(
                 f"artifact injection '{self.kind}' draws from a mask library; make one with "
-                "`geoevs mask-library`"
+                "`geoevs combine`"
             )
         if self.library is not None:
             check_size(self.library, self.height, self.width, "the training pairs")

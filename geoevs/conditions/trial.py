@@ -9,7 +9,7 @@ from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.point_maps import write_point_maps
 from geoevs.methods.check import Check, check_adapter
 from geoevs.methods.check_training import check_imports_no_torch, check_training
-from geoevs.methods.finding import find_methods, find_trainings
+from geoevs.methods.finding import check_free_name, find_methods, find_trainings
 from geoevs.methods.training import Inputs
 from geoevs.scenes.store import Scene
 
@@ -27,6 +27,7 @@ def check_method(name: str, options: dict[str, Any], settings: dict[str, Any]) -
     Raises:
         GeoEvsError: there is no such method, or an option or setting is wrong.
     """
+    check_free_name(name)
     checks = [check_imports_no_torch(name)] if name in find_methods() else []
     if name not in find_trainings() or "weights" in options:
         return checks + check_adapter(name, options)

@@ -17,8 +17,8 @@ from geoevs.config.trainings import check_trainings
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import check_options
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
-from geoevs.methods.finding import find_trainings
-from geoevs.protocol.entries import ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.methods.finding import find_methods, find_trainings
 from geoevs.protocol.stability import levels_of
 from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.scenes.scene import source_class
@@ -56,11 +56,19 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     check_trainings(config, files)
     check_methods(config, files)
     _check_stability(config, files)
+    _check_tables(config, files)
+
+
+def _check_tables(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+    tables = config["tables"]
     for name in ("pose_bins", "support_bins"):
-        edges = config["tables"][name]
-        if any(low >= high for low, high in itertools.pairwise(edges)):
+        if any(low >= high for low, high in itertools.pairwise(tables[name])):
             where = locate(("tables", name), files)
             raise GeoEvsError(f"{where}: the edges must rise; sort them and drop repeats")
+    with located(("tables", "ablation"), files):
+        method, methods = tables["ablation"], find_methods()
+        if method not in methods:
+            raise GeoEvsError(f"there is no method '{method}'; {did_you_mean(method, methods)}")
 
 
 def _check_moved(config: Mapping[str, Any], files: Sequence[Path]) -> None:
@@ -112,17 +120,6 @@ def _check_geometry(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 f"there are no scenes to fine-tune '{model}' on; name some under "
                 "partitions.geometry of a data set, or set 'finetune' to null"
             )
-
-
-def _check_masks(config: Mapping[str, Any], files: Sequence[Path]) -> None:
-    """Shifts that train must not be among those that test; yaws are in other units, see `masks`."""
-    tested = config["protocol"]["masked"]["lateral"]
-    shared = sorted(set(config["conditions"]["masks"]["lateral"]) & set(tested))
-    if shared:
-        raise GeoEvsError(
-            f"{locate(('conditions', 'masks', 'lateral'), files)}: masks shifted by {shared[0]} m "
-            "are what protocol.masked tests with; change one of them"
-        )
 
 
 def _check_stability(config: Mapping[str, Any], files: Sequence[Path]) -> None:

@@ -10,8 +10,9 @@ from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import check_named, variants
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import SettingError, check_options
+from geoevs.methods.contract import ORACLES
 from geoevs.methods.finding import find_methods, find_trainings, method_class, training_class
-from geoevs.protocol.entries import ORACLES, MethodEntry
+from geoevs.protocol.entries import MethodEntry
 
 
 def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:

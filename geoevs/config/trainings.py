@@ -7,8 +7,8 @@ from typing import Any
 from geoevs.config.files import locate, located
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import make_settings
+from geoevs.methods.contract import DEFAULT
 from geoevs.methods.finding import find_trainings, training_class
-from geoevs.methods.training import DEFAULT
 
 
 def training_of(method: str, text: str) -> str:

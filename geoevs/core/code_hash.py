@@ -72,7 +72,12 @@ def _nodes(tree: ast.AST, place: str, function: str) -> Iterator[ast.AST]:
 
 @cache
 def _tree(module: str) -> ast.Module:
-    return ast.parse(_path(module).read_bytes())
+    """A module's code; of one that is not Python, as a method being written may be, its text."""
+    source = _path(module).read_bytes()
+    try:
+        return ast.parse(source)
+    except (SyntaxError, ValueError):  # its own job says so, and the others go on
+        return ast.parse(repr(source))
 
 
 @cache

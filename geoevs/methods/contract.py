@@ -20,16 +20,25 @@ from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import Frame, PointCloud, Rig
 from geoevs.scenes.store import Scene, write_scene
 
+ORACLES = ("reference", "truth")
+"""Controls that copy what scores a method. No adapter can see that, so no method has their name."""
+
+CONTROL = "control"
+"""The paradigm of ORACLES, and of methods that only mark a floor or a simple baseline."""
+
+DEFAULT = "default"
+"""The variant of an entrant, or of a training, whose name in the config is its method's alone."""
+
 NEEDS = ("lidar", "tracks", "sfm", "training")
 
 
 @dataclass(frozen=True)
 class MethodInfo:
-    """What a method says of itself.
+    """What a method says of itself; tables show all but the citation.
 
     Args:
         name: as people write it, such as `Street Gaussians`.
-        paradigm: `control`, `reconstruction`, `diffusion`, ...
+        paradigm: `reconstruction`, `diffusion`, ...; `control` sets it apart from methods.
         extra_prior: what it knew before it saw the scene, such as `Stable Diffusion`.
         needs: which of NEEDS it uses; `Views` refuses what is not declared.
         citation: where it was published.

@@ -4,9 +4,10 @@ import importlib
 from pathlib import Path
 from typing import Any
 
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.plugins import find_plugins, load_plugin
 from geoevs.core.settings import check_options
-from geoevs.methods.contract import Adapter
+from geoevs.methods.contract import ORACLES, Adapter
 from geoevs.methods.training import Training, check_training_class
 
 FOLDERS = ("geoevs.generator", "baselines", "baselines.controls")
@@ -30,12 +31,26 @@ def find_trainings() -> dict[str, str]:
     return {name: module for name, module in found.items() if name in methods}
 
 
+def check_free_name(name: str) -> None:
+    """Check that a method may be called so.
+
+    Raises:
+        GeoEvsError: it is the name of a control, which would run in the method's place.
+    """
+    if name in ORACLES:
+        raise GeoEvsError(
+            f"'{name}' is the control that copies the answer, so no method can be called so; "
+            "choose another name"
+        )
+
+
 def method_class(name: str) -> type[Adapter]:
     """The class of the method called `name`.
 
     Raises:
         GeoEvsError: there is none; the sentence names the nearest one.
     """
+    check_free_name(name)
     return load_plugin("method", name, find_methods(), "Method")
 
 

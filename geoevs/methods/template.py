@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder, write_text
-from geoevs.methods.finding import find_methods
+from geoevs.methods.finding import check_free_name, find_methods
 
 ADAPTER = '''"""{name}: say in one line how it makes a view."""
 
@@ -28,7 +28,7 @@ class Method:
     Fields with a default are options, set in the config; what `fit` learns has `init=False`.
     """
 
-    # Tables print this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
+    # Tables show this. LiDAR and boxes are refused unless declared: needs=("lidar", "tracks").
     info: ClassVar[MethodInfo] = MethodInfo("{name}", paradigm="reconstruction")
     views: Views = field(init=False)
 
@@ -87,7 +87,7 @@ class Method:
         weights: the folder that `train` of training.py wrote; the config's training gives it.
     """
 
-    # Tables print this. LiDAR and boxes are refused unless declared, beside "training".
+    # Tables show this. LiDAR and boxes are refused unless declared, beside "training".
     info: ClassVar[MethodInfo] = MethodInfo("{name}", paradigm="learned", needs=("training",))
     weights: str
     views: Views = field(init=False)
@@ -302,6 +302,7 @@ def new_adapter(name: str, root: Path, training: bool = False) -> list[Path]:
         )
     if keyword.iskeyword(module) or keyword.issoftkeyword(module):
         raise GeoEvsError(f"'{name}' is a word of Python's own; choose another name")
+    check_free_name(name)
     folder = root / "baselines" / module
     test = root / "tests" / "baselines" / f"test_{module}.py"
     name = module.replace("_", "-")

@@ -1,6 +1,5 @@
 """What a training left behind, as methods that take its weights find it."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +40,6 @@ def trained_seconds(networks: Path) -> float | None:
     """Wall seconds of all trainings that made networks; None where nothing says so."""
     path = seconds_file(networks)
     return sum(read_json(path).values()) if path.exists() else None
-
-
-def asked_options(method: object, names: Iterable[str]) -> dict[str, Any]:
-    """A method's own values of options that are None where its training's are to be taken."""
-    options = {name: getattr(method, name) for name in names}
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def link_trained(folder: Path, copy: Path) -> None:

@@ -20,9 +20,6 @@ PARTITIONS = ("train", "clips")
 READS = ("point-maps", "mask-poses", "geometry", "prior")
 """What a training may read besides scenes; it declares what it does (see Inputs)."""
 
-DEFAULT = "default"
-"""The variant that is a section's own settings."""
-
 
 @dataclass(frozen=True)
 class Inputs:

@@ -21,8 +21,9 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.files import read_image, to_float
 from geoevs.core.randomness import Rng
+from geoevs.methods.contract import ORACLES
 from geoevs.projection import colour_points, project_points, zbuffer
-from geoevs.protocol.entries import OK, ORACLES, MethodEntry, read_outcomes
+from geoevs.protocol.entries import OK, MethodEntry, read_outcomes
 from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM, MaskedMean
 from geoevs.protocol.stability_scoring import depth_edges
 from geoevs.protocol.targets import ALL_CAMERAS, Target

@@ -6,10 +6,12 @@ from typing import Any
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
+from geoevs.methods.contract import DEFAULT, ORACLES
 
-REFERENCE, TRUTH = "reference", "truth"
-ORACLES = (REFERENCE, TRUTH)
-"""Controls that copy what scores a method. No adapter can see that, so they are none."""
+REFERENCE, TRUTH = ORACLES
+
+FLOOR = "mean-colour"
+"""The control that every method should beat; those that do not are flagged."""
 
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
@@ -29,19 +31,19 @@ class MethodEntry:
     """
 
     method: str
-    variant: str = "default"
+    variant: str = DEFAULT
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     training: str = ""
 
     @property
     def name(self) -> str:
-        """Its name in the config: METHOD or METHOD.VARIANT."""
-        return label_of(self.method, self.variant)
+        """Its name in the config (see `name_of`)."""
+        return name_of(self.method, self.variant)
 
     @property
     def label(self) -> str:
-        """Its name in paths and tables (see `label_of`)."""
+        """Its name in paths (see `label_of`)."""
         return label_of(self.method, self.variant, self.seed)
 
     @classmethod
@@ -50,16 +52,25 @@ class MethodEntry:
     ) -> "MethodEntry":
         """An entry from its name in the config, `METHOD` or `METHOD.VARIANT`."""
         method, _, variant = name.partition(".")
-        return cls(method, variant or "default", options, seed, training)
+        return cls(method, variant or DEFAULT, options, seed, training)
 
 
-def label_of(method: str, variant: str = "default", seed: int = 0) -> str:
-    """An entrant's name in paths and tables: that in the config, then the seed unless it is 0.
+def name_of(method: str, variant: str = DEFAULT) -> str:
+    """An entrant's name in the config, METHOD or METHOD.VARIANT.
 
-    >>> label_of("geo-evs"), label_of("geo-evs", "v1", 2)
-    ('geo-evs', 'geo-evs.v1.seed2')
+    >>> name_of("mine"), name_of("mine", "wide")
+    ('mine', 'mine.wide')
     """
-    name = method if variant == "default" else f"{method}.{variant}"
+    return method if variant == DEFAULT else f"{method}.{variant}"
+
+
+def label_of(method: str, variant: str = DEFAULT, seed: int = 0) -> str:
+    """An entrant's name in paths: that in the config, then the seed unless it is 0.
+
+    >>> label_of("mine", "wide"), label_of("mine", seed=2)
+    ('mine.wide', 'mine.seed2')
+    """
+    name = name_of(method, variant)
     return name if seed == 0 else f"{name}.seed{seed}"
 
 

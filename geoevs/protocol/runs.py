@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.files import new_folder, write_json
-from geoevs.methods.contract import Budget
-from geoevs.protocol.entries import FAILED, FINE, ORACLES, MethodEntry, failed, read_outcomes
+from geoevs.methods.contract import ORACLES, Budget
+from geoevs.protocol.entries import FAILED, FINE, MethodEntry, failed, read_outcomes
 from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
 

@@ -1,4 +1,4 @@
-"""What the masks of training are worth: Geo-EVS against its variants (paper table 4)."""
+"""What the parts of a method are worth: the full model against its variants (paper table 4)."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -7,14 +7,17 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import PAIR, paired_difference, summarise
+from geoevs.results.entrants import Entrants
 from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
-from geoevs.results.tables import display_name, paper_values
+from geoevs.results.paper import paper_values
+from geoevs.results.settings import TableSettings
 
-METHOD, FULL = "geo-evs", "default"
-"""The ablated method, and its variant that is the full model."""
+FULL = DEFAULT
+"""The variant that is the full model."""
 
 PARTS = ("psnr_supported", "psnr_removed", "psnr_never", "psnr_unsupported")
 MEASURES = (
@@ -36,25 +39,29 @@ together. Empty = not run, or not measurable here.
 """
 
 
-def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
-    """A row for every data set and variant of Geo-EVS in the run, the full model last.
+def make_ablation_table(
+    scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> pd.DataFrame:
+    """A row for every data set and variant of the ablated method, the full model last.
 
     Args:
         scores: score rows.
-        settings: the config's `tables` section.
+        settings: the config's `tables` section, which names the method.
+        entrants: who plays.
 
     Returns:
         Columns `dataset`, `variant`, `seeds` (how many), and for every measure (see `column_name`)
         its mean, `_low` and `_high`, of the paired difference full model minus variant `_diff`,
         `_diff_low` and `_diff_high`, and `_seed_sd`, the standard deviation of the seeds' means;
-        `_paper` where the paper has it; `failed` views and `note`.
+        `_paper` where the paper has it; `failed` views, `note`, `method`, and the entrant's
+        `name`, `paradigm`, `extra_prior` and `needs`.
         A data set without any variant has one row that says so.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
     """
     check_fingerprints(scores)
-    ours = scores[(scores["method"] == METHOD) & (scores["stressor"] == "")]
+    ours = scores[(scores["method"] == settings.ablation) & (scores["stressor"] == "")]
     table = []
     for dataset in scores["dataset"].unique():
         rows = ours[ours["dataset"] == dataset]
@@ -62,12 +69,14 @@ def make_ablation_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
         table += [
             {"dataset": dataset, **_row(rows, variant, settings)} for variant in variants or [""]
         ]
-    return pd.DataFrame(table)
+    return entrants.describe(pd.DataFrame(table).assign(method=settings.ablation))
 
 
-def write_ablation_table(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+def write_ablation_table(
+    stem: Path, scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
     """Write `make_ablation_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
-    table = make_ablation_table(scores, settings)
+    table = make_ablation_table(scores, settings, entrants)
     write_formats(stem, table, ablation_markdown, ablation_latex)
 
 
@@ -80,42 +89,38 @@ def column_name(split: str, metric: str) -> str:
     return f"{split.replace('-', '_')}_{metric}"
 
 
-def _row(rows: pd.DataFrame, variant: str, settings: dict[str, Any]) -> dict[str, Any]:
+def _row(rows: pd.DataFrame, variant: str, settings: TableSettings) -> dict[str, Any]:
     of_variant, full = (rows[rows["variant"] == name] for name in (variant, FULL))
-    summary = summarise(of_variant, ["split", "metric"], **_bootstrap(settings))
+    summary = summarise(of_variant, ["split", "metric"], *settings.bootstrap)
     summary = summary.set_index(["split", "metric"])
     row: dict[str, Any] = {"variant": variant, "seeds": of_variant["seed"].nunique()}
     pairs = 0
-    printed = paper_values("ablation").get(variant, {})
+    printed = paper_values("ablation").get(settings.ablation)
     for split, metric in MEASURES:
         name = column_name(split, metric)
-        if (split, metric) == MEASURES[0]:
-            row[f"{name}_paper"] = printed.get(metric, math.nan)
+        if printed and (split, metric) == MEASURES[0]:
+            row[f"{name}_paper"] = printed.get(variant, {}).get(metric, math.nan)
         for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
             row[name + suffix] = summary[column].get((split, metric), math.nan)
         others = _of(of_variant, split, metric) if variant != FULL else of_variant[:0]
-        difference = paired_difference(_of(full, split, metric), others, **_bootstrap(settings))
+        difference = paired_difference(_of(full, split, metric), others, *settings.bootstrap)
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
         by_seed = _of(of_variant, split, metric).groupby("seed")["value"]
         row[f"{name}_seed_sd"] = by_seed.mean().std()
         pairs += difference.pairs
     row["failed"] = len(of_variant[of_variant["status"] == FAILED].drop_duplicates(PAIR))
-    row["note"] = _note(variant, row["failed"], pairs)
+    row["note"] = _note(settings.ablation, variant, row["failed"], pairs)
     return row
-
-
-def _bootstrap(settings: dict[str, Any]) -> dict[str, Any]:
-    return {name: settings[name] for name in ("resamples", "confidence")}
 
 
 def _of(rows: pd.DataFrame, split: str, metric: str) -> pd.DataFrame:
     return rows[(rows["split"] == split) & (rows["metric"] == metric)]
 
 
-def _note(variant: str, failed: int, pairs: int) -> str:
+def _note(method: str, variant: str, failed: int, pairs: int) -> str:
     if not variant:
-        return f"no variant of {METHOD} was run"
+        return f"no variant of {method} was run"
     if failed:
         return f"failed on {failed} views"
     return "no pair with the full model" if variant != FULL and not pairs else ""
@@ -169,7 +174,7 @@ def _grid(
     paper_cell: Callable[[dict[str, Any], str], str],
     more: list[list[str]],
 ) -> Grid:
-    header = [corner, *(display_name(METHOD, row["variant"]) for row in variants)]
+    header = [corner, *(row["name"] for row in variants)]
     body = []
     for split, metric in MEASURES:
         name = column_name(split, metric)
@@ -200,5 +205,5 @@ def _spread(row: dict[str, Any], name: str) -> str:
 
 def _paper_difference(row: dict[str, Any], name: str) -> str:
     metric = MEASURES[0][1]
-    full = paper_values("ablation")[FULL][metric]
+    full = paper_values("ablation")[row["method"]][FULL][metric]
     return with_interval("{:+.2f}", full - row[f"{name}_paper"], math.nan, math.nan)

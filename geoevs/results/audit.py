@@ -2,17 +2,17 @@
 
 import itertools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
-from geoevs.protocol.entries import ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FLOOR
 from geoevs.results.bootstrap import redraw, summarise
-from geoevs.results.tables import FLOOR
+from geoevs.results.entrants import ENTRANT, Entrants
+from geoevs.results.settings import TableSettings
 
-ENTRANT = ["method", "variant"]
 FRAME = ["scene", "frame"]
 AGREEMENT_COLUMNS = [
     "dataset",
@@ -32,13 +32,20 @@ AGREED = 0.95
 """The share of frames in which two methods' order must hold before a gap counts as trusted."""
 
 
-def audit_tables(rows: pd.DataFrame, settings: dict[str, Any]) -> dict[str, pd.DataFrame]:
-    """Every table of the audit, by name; of data without dense truth most are empty."""
-    makers = (agreement, support_bias, reference_errors, ceiling, conditioning_gain)
-    return {make.__name__: make(rows, settings) for make in makers}
+def audit_tables(
+    rows: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> dict[str, pd.DataFrame]:
+    """Every table of the audit, by name; of data without dense truth most are empty.
+
+    That of entrants has their `name`, `paradigm`, `extra_prior` and `needs` too.
+    """
+    makers = (agreement, support_bias, reference_errors, ceiling)
+    tables = {make.__name__: make(rows, settings) for make in makers}
+    gain = entrants.describe(conditioning_gain(rows, settings))
+    return tables | {conditioning_gain.__name__: gain}
 
 
-def agreement(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def agreement(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """Bias and rank correlation of every sparse metric against its dense twin, by share kept.
 
     Args:
@@ -76,7 +83,7 @@ def _frame_means(group: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarra
     finite = group[np.isfinite(group["value"]) & np.isfinite(group["dense"])]
     if finite.empty:  # SSIM has no window with enough pixels at the lowest share
         return np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, object)
-    cells = finite.pivot_table(["value", "dense"], FRAME, ENTRANT).dropna()
+    cells = finite.pivot_table(["value", "dense"], FRAME, ["method", "variant"]).dropna()
     scenes = cells.index.get_level_values("scene").to_numpy(object)
     return cells["value"].to_numpy(), cells["dense"].to_numpy(), scenes
 
@@ -95,19 +102,18 @@ def _resampled(
     sparse: np.ndarray,  # [F, M]
     dense: np.ndarray,  # [F, M]
     scenes: np.ndarray,  # [F]
-    settings: dict[str, Any],
+    settings: TableSettings,
     *statistics: Callable[[np.ndarray, np.ndarray], float],
 ) -> list[tuple[float, float, float]]:
     """Each statistic of the entrants' means over frames, and the ends of its interval."""
     if not len(sparse):
         return [(np.nan, np.nan, np.nan)] * len(statistics)
-    weights = redraw(scenes, settings["resamples"], np.random.default_rng(0)) / len(sparse)
+    weights = redraw(scenes, settings.resamples, np.random.default_rng(0)) / len(sparse)
     drawn = list(zip(weights @ sparse, weights @ dense, strict=True))
-    tail = (1 - settings["confidence"]) / 2
     estimates = []
     for statistic in statistics:
         samples = [statistic(*means) for means in drawn]
-        low, high = np.nanquantile(samples, [tail, 1 - tail], method="inverted_cdf")
+        low, high = np.nanquantile(samples, settings.tails, method="inverted_cdf")
         estimates.append((statistic(sparse.mean(axis=0), dense.mean(axis=0)), low, high))
     return estimates
 
@@ -132,7 +138,7 @@ def _trusted_gap(sparse: np.ndarray, dense: np.ndarray) -> float:
     return float(sizes[trusted[-1]]) if len(trusted) else np.nan
 
 
-def support_bias(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def support_bias(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """Bias of metrics over random pixels of the truth: what support alone does to them.
 
     Args:
@@ -149,18 +155,18 @@ def support_bias(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
     return _summary(rows, by, settings)
 
 
-def reference_errors(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def reference_errors(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """Shares of wrong reference pixels and what they cost, by visibility rule (see the audit)."""
     return _summary(rows[rows["part"] == "reference"], ["dataset", "metric"], settings)
 
 
-def ceiling(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def ceiling(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """What the photos of recorded cameras themselves score, by camera (see the audit)."""
     rows = rows[(rows["part"] == "ceiling") & np.isfinite(rows["value"])]
     return _summary(rows, ["dataset", "metric", "target"], settings)
 
 
-def conditioning_gain(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def conditioning_gain(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """What entrants gain when scored on the points that they may read.
 
     Returns:
@@ -174,9 +180,9 @@ def conditioning_gain(rows: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
     rows = rows.merge(floor, on=view, suffixes=("", "_floor"))
     rows = rows.assign(value=rows["value"] - rows["value_floor"])
     rows = rows[np.isfinite(rows["value"]) & (rows["method"] != FLOOR)]
-    return _summary(rows, ["dataset", *ENTRANT], settings)
+    return _summary(rows, ENTRANT, settings)
 
 
-def _summary(rows: pd.DataFrame, by: list[str], settings: dict[str, Any]) -> pd.DataFrame:
-    table = summarise(rows.assign(status=""), by, settings["resamples"], settings["confidence"])
+def _summary(rows: pd.DataFrame, by: list[str], settings: TableSettings) -> pd.DataFrame:
+    table = summarise(rows.assign(status=""), by, *settings.bootstrap)
     return table.drop(columns="failed")

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -10,14 +9,17 @@ from geoevs.core.files import write_text
 from geoevs.results.audit import audit_tables
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.chart_pages import write_page
+from geoevs.results.entrants import Entrants
 from geoevs.results.formats import markdown_grid
-from geoevs.results.tables import display_name
+from geoevs.results.settings import TableSettings
 
 RANKS_WELL = 0.8
 """The tau from which on methods are said to be ranked well: nine of ten pairs in the same order."""
 
 
-def write_audit(folder: Path, rows: pd.DataFrame, settings: dict[str, Any]) -> None:
+def write_audit(
+    folder: Path, rows: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
     """Write the audit's tables as CSV, two of them as charts, and the page in words.
 
     Args:
@@ -25,8 +27,9 @@ def write_audit(folder: Path, rows: pd.DataFrame, settings: dict[str, Any]) -> N
             go.
         rows: the audit's rows (AUDIT_TYPES).
         settings: the config's `tables` section.
+        entrants: who plays.
     """
-    tables = audit_tables(rows, settings)
+    tables = audit_tables(rows, settings, entrants)
     for name, table in tables.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     write_page(folder / "agreement", agreement_chart(tables["agreement"]))
@@ -131,7 +134,7 @@ def _gain(table: pd.DataFrame) -> list[str]:
     most = rows.loc[rows["gain"].idxmax()]
     return [
         f"**Leaks.** Scored on the points that it may read, "
-        f"{display_name(most['method'], most['variant'])} gains {_interval(most, 'gain')} dB over "
+        f"{most['name']} gains {_interval(most, 'gain')} dB over "
         f"the split that keeps them apart; the median entrant gains {rows['gain'].median():+.2f}."
     ]
 

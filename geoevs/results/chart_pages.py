@@ -14,7 +14,9 @@ from geoevs.core.files import write_bytes, write_text
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.charts import COSTS, SPEED, higher_is_better, speed_accuracy
-from geoevs.results.tables import bin_names, table_spec
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import bin_names, table_spec
 
 WIDTH, HEIGHT = 300, 230
 LABEL_SIZE = 11
@@ -57,7 +59,8 @@ def write_chart(
     name: str,
     scores: pd.DataFrame,
     costs: pd.DataFrame,
-    settings: dict[str, Any],
+    settings: TableSettings,
+    entrants: Entrants,
     sets: pd.DataFrame | None = None,
 ) -> None:
     """Draw speed against accuracy as CSV, PNG and a page that needs no network.
@@ -68,15 +71,16 @@ def write_chart(
         scores: the run's score rows.
         costs: its cost rows.
         settings: the config's `tables` section.
+        entrants: who plays.
         sets: rows of distances between sets, if there are any.
     """
-    table = speed_accuracy(name, scores, costs, settings, sets)
+    table = speed_accuracy(name, scores, costs, settings, entrants, sets)
     page = draw_page(name, table, settings)
     write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
     write_page(stem, page)
 
 
-def draw_page(name: str, table: pd.DataFrame, settings: dict[str, Any]) -> alt.VConcatChart:
+def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VConcatChart:
     """A page of panels: for every data set and metric a row of what accuracy costs.
 
     Where a table is divided by edges, rows go over its bins, with the curve over them before.

@@ -1,24 +1,19 @@
 """Speed against accuracy of every entrant: what pictures cost, and which entrants are worth it."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from geoevs.protocol.entries import FAILED, ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FAILED
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE
 from geoevs.results.bootstrap import bootstrap_mean, summarise
-from geoevs.results.tables import (
-    ENTRANT,
-    TableSpec,
-    display_name,
-    is_control,
-    table_rows,
-    table_spec,
-)
+from geoevs.results.entrants import ENTRANT, Entrants
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TableSpec, table_rows, table_spec
 
 COSTS = {
     "fit_seconds": "fit, seconds",
@@ -45,7 +40,8 @@ def speed_accuracy(
     name: str,
     scores: pd.DataFrame,
     costs: pd.DataFrame,
-    settings: dict[str, Any],
+    settings: TableSettings,
+    entrants: Entrants,
     sets: pd.DataFrame | None = None,
 ) -> pd.DataFrame:
     """What a view of every entrant costs, and how good it is.
@@ -55,6 +51,7 @@ def speed_accuracy(
         scores: score rows.
         costs: cost rows.
         settings: the config's `tables` section.
+        entrants: who plays.
         sets: rows of distances between sets of images; none are charted without.
 
     Returns:
@@ -68,13 +65,14 @@ def speed_accuracy(
     rows = table_rows(spec, scores, settings)
     rows = rows[rows["metric"].isin(_accuracies(spec)) & ~rows["method"].isin(ORACLES)]
     by = [*ENTRANT, "bin", "metric"]
-    summary = summarise(rows, by, settings["resamples"], settings["confidence"])
+    summary = summarise(rows, by, *settings.bootstrap)
     if sets is not None:
         summary = pd.concat([summary, _distances(spec, sets)], ignore_index=True)
     table = summary.merge(_costs(spec, costs, settings), on=ENTRANT)
     table = table[table["mean"].notna()]
-    table["name"] = [display_name(*pair) for pair in zip(table.method, table.variant, strict=True)]
-    table["control"] = table["method"].map(is_control)
+    pairs = list(zip(table["method"], table["variant"], strict=True))
+    table["name"] = [entrants.name(*pair) for pair in pairs]
+    table["control"] = [entrants.is_control(*pair) for pair in pairs]
     for cost in COSTS:
         table[f"{cost}_frontier"] = False
     for (_, _, metric), group in table.groupby(["dataset", "bin", "metric"]):
@@ -109,7 +107,7 @@ def higher_is_better(metric: str) -> bool:
     return metric not in SET_METRICS and METRICS[metric].higher_is_better
 
 
-def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def _costs(spec: TableSpec, costs: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """Means over fits and their intervals, for every entrant; NaN ends for one fit alone."""
     sources = FRONT_SIDE if spec.splits == ("interpolation",) else ALL_CAMERAS
     rows = costs[(costs["sources"] == sources) & (costs["status"] != FAILED)].assign(
@@ -117,12 +115,12 @@ def _costs(spec: TableSpec, costs: pd.DataFrame, settings: dict[str, Any]) -> pd
         size_mb=costs["bytes"] / 1e6,
     )
     found = []
-    for entrant, group in rows.groupby(list(ENTRANT), sort=False):
+    for entrant, group in rows.groupby(ENTRANT, sort=False):
         row = dict(zip(ENTRANT, entrant, strict=True))
         for cost, smallest in SMALLEST.items():
             values = group[cost].clip(lower=smallest).to_numpy(np.float64)
             fits = np.zeros(len(values))  # all of one group, so that they are redrawn together
-            interval = bootstrap_mean(values, fits, settings["resamples"], settings["confidence"])
+            interval = bootstrap_mean(values, fits, *settings.bootstrap)
             row[cost], row[f"{cost}_low"], row[f"{cost}_high"] = interval
         found.append(row)
     columns = [*ENTRANT, *(cost + end for cost in COSTS for end in ("", "_low", "_high"))]

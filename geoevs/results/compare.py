@@ -2,7 +2,6 @@
 
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -10,7 +9,8 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.results.bootstrap import PairedDifference, paired_difference, summarise
 from geoevs.results.formats import arrow, decimals, number, with_interval
-from geoevs.results.tables import TABLES, bin_names, table_rows
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TABLES, bin_names, table_rows
 from geoevs.results.why_lookup import Record, known
 
 COLUMNS = ["bin", "metric", "first", "second", "difference", "low", "high", "pairs"]
@@ -65,7 +65,7 @@ def rows_of(rows: pd.DataFrame, method: str, variant: str) -> pd.DataFrame:
 
 
 def paired_of(
-    rows: pd.DataFrame, others: pd.DataFrame, settings: dict[str, Any]
+    rows: pd.DataFrame, others: pd.DataFrame, settings: TableSettings
 ) -> PairedDifference:
     """`paired_difference` of two entrants whatever their seeds and levels of stress.
 
@@ -83,7 +83,7 @@ def paired_of(
         some.assign(target=some["target"] + "@" + some["level"].astype(str))
         for some in (rows, others)
     )
-    return paired_difference(*levelled, settings["resamples"], settings["confidence"])
+    return paired_difference(*levelled, *settings.bootstrap)
 
 
 def _at_seeds_of(others: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
@@ -93,8 +93,8 @@ def _at_seeds_of(others: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
     return rows.drop(columns="seed").merge(seeds, how="cross")
 
 
-def _mean(rows: pd.DataFrame, settings: dict[str, Any]) -> float:
-    return summarise(rows, ["metric"], settings["resamples"], settings["confidence"])["mean"].item()
+def _mean(rows: pd.DataFrame, settings: TableSettings) -> float:
+    return summarise(rows, ["metric"], *settings.bootstrap)["mean"].item()
 
 
 def comparison_text(table: pd.DataFrame, first: str, second: str) -> str:

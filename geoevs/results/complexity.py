@@ -7,12 +7,14 @@ from typing import Any
 
 import pandas as pd
 
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise
+from geoevs.results.entrants import INFO, Entrants
 from geoevs.results.formats import markdown_grid, write_formats
-from geoevs.results.tables import display_name
+from geoevs.results.settings import TableSettings
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"
 """What a size is judged by, in dB; a method chooses by its sources alone."""
@@ -20,7 +22,7 @@ SPLIT, METRIC = "extrapolation", "sparse_psnr"
 CHARTED = (METRIC, "psnr")
 """What the chart shows over sizes; the second where dense truth exists."""
 
-CHOSEN, FIXED = "default", re.compile(r"\d+k")
+CHOSEN, FIXED = DEFAULT, re.compile(r"\d+k")
 """The variant that chooses its size, and the names of those whose size is fixed, such as `8k`."""
 
 ADDS_SIZES = (
@@ -38,7 +40,9 @@ run, or failed.
 _KEY = ["dataset", "method", "scene"]
 
 
-def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
+def make_complexity_table(
+    scores: pd.DataFrame, costs: pd.DataFrame, entrants: Entrants
+) -> pd.DataFrame:
     """A row for every scene of each method that was run with fixed sizes, and one of their means.
 
     A method's scenes are sorted by how much they hold: by the size that it chose there, the
@@ -47,12 +51,13 @@ def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataF
     Args:
         scores: score rows.
         costs: cost rows.
+        entrants: who plays.
 
     Returns:
         Columns `dataset`, `method`, `scene`, of the chosen size `chosen` (primitives), `psnr` and
         `seconds`, of the best fixed one `best`, `best_variant`, `best_psnr` and `best_seconds`,
-        `regret_db`, `regret_seconds` and `note`. A data set without fixed sizes has one row that
-        says so.
+        `regret_db`, `regret_seconds`, `note`, and the method's `name`, `paradigm`, `extra_prior`
+        and `needs`. A data set without fixed sizes has one row that says so.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
@@ -70,19 +75,22 @@ def make_complexity_table(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataF
                 for scene in fits_of_method["scene"].unique()
             ]
             rows.sort(key=lambda row: (row.get("chosen", math.inf), row["scene"]))
-            table += [*rows, _mean(rows)]
+            about = entrants.columns(method, CHOSEN)
+            table += [row | about for row in (*rows, _mean(rows))]
         if not len(methods):
             table.append({"dataset": dataset, "note": "no fixed size was run"})
     numbers = ["chosen", "psnr", "seconds", "best", "best_psnr", "best_seconds"]
     numbers += ["regret_db", "regret_seconds"]
-    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note"]
+    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", *INFO]
     made = pd.DataFrame(table, columns=columns)
     return made.astype(dict.fromkeys(numbers, "float64"))
 
 
-def write_complexity_table(stem: Path, scores: pd.DataFrame, costs: pd.DataFrame) -> None:
+def write_complexity_table(
+    stem: Path, scores: pd.DataFrame, costs: pd.DataFrame, entrants: Entrants
+) -> None:
     """Write `make_complexity_table` as CSV and Markdown; `stem` is the path without suffix."""
-    write_formats(stem, make_complexity_table(scores, costs), complexity_markdown)
+    write_formats(stem, make_complexity_table(scores, costs, entrants), complexity_markdown)
 
 
 def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
@@ -167,7 +175,7 @@ def complexity_markdown(table: pd.DataFrame) -> str:
         body = []
         for row in rows.to_dict("records"):
             named = isinstance(row["method"], str)
-            line = [display_name(row["method"], CHOSEN), row["scene"]] if named else ["", ""]
+            line = [row["name"], row["scene"]] if named else ["", ""]
             line += [
                 "" if math.isnan(row[name]) else format(row[name], form)
                 for name, form in forms.items()
@@ -179,7 +187,7 @@ def complexity_markdown(table: pd.DataFrame) -> str:
 
 
 def size_curves(
-    scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
+    scores: pd.DataFrame, costs: pd.DataFrame, settings: TableSettings, entrants: Entrants
 ) -> pd.DataFrame:
     """Accuracy over size, for every scene of each method that was run with fixed sizes.
 
@@ -187,12 +195,13 @@ def size_curves(
         scores: score rows.
         costs: cost rows.
         settings: the config's `tables` section.
+        entrants: who plays.
 
     Returns:
         A row for every fit and metric of CHARTED: `dataset`, `method`, `scene`, `variant` (CHOSEN,
         or a fixed size), `metric`, `mean` with its interval `low` and `high` over frames, `n`,
-        `primitives`, `fit_seconds`, and `chosen`, the primitives that the method chose for the
-        scene. Scenes as in the table, sizes rising. Empty where no fixed size was run.
+        `primitives`, `fit_seconds`, `chosen`, the primitives that the method chose for the scene,
+        and its `name`. Scenes as in the table, sizes rising. Empty where no fixed size was run.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
@@ -201,9 +210,10 @@ def size_curves(
     rows = scores[(scores["split"] == SPLIT) & scores["metric"].isin(CHARTED)]
     rows = rows[rows["stressor"] == ""]
     by = [*_KEY, "variant", "metric"]
-    means = summarise(rows, by, settings["resamples"], settings["confidence"])
+    means = summarise(rows, by, *settings.bootstrap)
     means = means.drop(columns="failed").dropna(subset="mean")
-    fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"]).assign(chosen=math.nan)
+    fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"])
+    fits = fits.assign(chosen=math.nan, name=fits["method"].map(entrants.name))
     fits = fits[_is_fixed(fits) | (fits["variant"] == CHOSEN)]
     sized = [fits[:0]]
     for _, curve in fits.groupby(["dataset", "method"], sort=False):

@@ -1,7 +1,6 @@
 """Pictures of accuracy over size: what each scene needs, and what was chosen for it."""
 
 from pathlib import Path
-from typing import Any
 
 import altair as alt
 import numpy as np
@@ -10,7 +9,8 @@ import pandas as pd
 from geoevs.core.files import write_text
 from geoevs.results.chart_pages import WIDTH, layered, stacked, write_page
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE, size_curves
-from geoevs.results.tables import display_name
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
 
 COLUMNS = 4
 """Panels side by side."""
@@ -24,7 +24,11 @@ SHAPES = {"fixed": "circle", "chosen": "diamond"}
 
 
 def write_size_chart(
-    stem: Path, scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]
+    stem: Path,
+    scores: pd.DataFrame,
+    costs: pd.DataFrame,
+    settings: TableSettings,
+    entrants: Entrants,
 ) -> None:
     """Draw accuracy over size as CSV, PNG and a page that needs no network.
 
@@ -33,8 +37,9 @@ def write_size_chart(
         scores: the run's score rows.
         costs: its cost rows.
         settings: the config's `tables` section.
+        entrants: who plays.
     """
-    table = size_curves(scores, costs, settings)
+    table = size_curves(scores, costs, settings, entrants)
     page = size_chart(table)
     write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
     write_page(stem, page)
@@ -50,10 +55,10 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         note = alt.Chart(pd.DataFrame({"note": [list(NOTHING)]})).mark_text(fontSize=13)
         return alt.vconcat(note.encode(text="note:N").properties(width=2 * WIDTH, height=80))
     rows = []
-    for (dataset, method), fits in table.groupby(["dataset", "method"], sort=False):
+    for (dataset, _), fits in table.groupby(["dataset", "method"], sort=False):
         scenes = fits.groupby("scene", sort=False)
         panels = [_panel(of_scene, str(scene)) for scene, of_scene in scenes]
-        title = f"{dataset}: {display_name(method, CHOSEN)}"
+        title = f"{dataset}: {fits['name'].iloc[0]}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
     return stacked(rows, title)
@@ -62,7 +67,7 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
 def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:
     """The metrics of one scene over size: a line through fixed sizes, and the chosen one."""
     data = fits.assign(kind=np.where(fits["variant"] == CHOSEN, "chosen", "fixed"))
-    data = data.drop(columns=["dataset", "method"])
+    data = data.drop(columns=["dataset", "method", "name"])
     x = alt.X("primitives:Q", title="primitives")
     x = x.scale(type="log", nice=False, padding=15).axis(tickCount=5, format="~s")
     y = alt.Y("mean:Q", title="dB ↑").scale(zero=False)

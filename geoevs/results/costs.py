@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from geoevs.methods.contract import CONTROL
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
+from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.formats import markdown_grid, write_formats
-from geoevs.results.tables import display_name, is_control
 
 COLUMNS = {
     "fit_seconds": "fit s",
@@ -29,12 +30,17 @@ that rendering it needs. `failed` = fits without a result; no mean holds them.
 """
 
 
-def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
+def make_cost_table(costs: pd.DataFrame, entrants: Entrants) -> pd.DataFrame:
     """Means over scenes (and seeds) of the cost of fitting and rendering from all cameras.
+
+    Args:
+        costs: cost rows.
+        entrants: who plays.
 
     Returns:
         A row for every data set, method and variant, in the rows' order: the keys of COLUMNS,
-        `n` fits, `failed` fits, `device`, `threads` and `note`, what the methods said of the fits.
+        `n` fits, `failed` fits, `device`, `threads`, `note`, what the methods said of the fits,
+        and the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
     """
     rows = costs[costs["sources"] == ALL_CAMERAS].assign(
         peak_memory_mb=costs["peak_memory"] / 1e6,
@@ -42,11 +48,11 @@ def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
         size_mb=costs["bytes"] / 1e6,
     )
     table = []
-    for key, group in rows.groupby(["dataset", "method", "variant"], sort=False):
+    for key, group in rows.groupby(ENTRANT, sort=False):
         fine = group[group["status"] != FAILED]
         table.append(
             {
-                **dict(zip(("dataset", "method", "variant"), key, strict=True)),
+                **dict(zip(ENTRANT, key, strict=True)),
                 **fine[list(COLUMNS)].mean(),
                 "n": len(fine),
                 "failed": len(group) - len(fine),
@@ -55,12 +61,12 @@ def make_cost_table(costs: pd.DataFrame) -> pd.DataFrame:
                 "note": _joined_notes(fine),
             }
         )
-    return pd.DataFrame(table)
+    return entrants.describe(pd.DataFrame(table))
 
 
-def write_cost_table(stem: Path, costs: pd.DataFrame) -> None:
+def write_cost_table(stem: Path, costs: pd.DataFrame, entrants: Entrants) -> None:
     """Write `make_cost_table` as CSV and Markdown; `stem` is the path without suffix."""
-    write_formats(stem, make_cost_table(costs), cost_markdown)
+    write_formats(stem, make_cost_table(costs, entrants), cost_markdown)
 
 
 def _joined_notes(fits: pd.DataFrame) -> str:
@@ -78,8 +84,8 @@ def cost_markdown(table: pd.DataFrame) -> str:
     for dataset, rows in table.groupby("dataset", sort=False):
         body, noted = [], {}
         for row in rows.to_dict("records"):
-            name = display_name(row["method"], row["variant"])
-            cells = [f"*{name}*" if is_control(row["method"]) else name]
+            name = row["name"]
+            cells = [f"*{name}*" if row["paradigm"] == CONTROL else name]
             cells += ["" if pd.isna(row[key]) else f"{row[key]:.4g}" for key in COLUMNS]
             cells += [str(row[key]) for key in ("device", "threads", "n", "failed")]
             body.append(cells)

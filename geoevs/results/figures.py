@@ -13,7 +13,7 @@ from geoevs.core.files import encode_png, read_image, to_uint8
 from geoevs.protocol.condition_masks import ConditionMask
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target
-from geoevs.results.tables import TableSpec, table_spec
+from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.run import Answers
 
 TILE_WIDTH = 256

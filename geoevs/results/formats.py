@@ -4,20 +4,26 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from geoevs.core.files import write_text
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.tables import TableSpec, display_name, make_table, table_spec
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TableSpec, table_spec
+from geoevs.results.tables import make_table
 
-LEGEND = """Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
-italics. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than the floor, the
-control mean-colour. ∞ = exact in some frame. `floor` = the same distance between true images of
-other instants. Empty = not run, or not measurable here.
+LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
+italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
+run, what the paper says. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than
+the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same distance between true
+images of other instants. Empty = not run, not measurable here, or not said.
 """
+
+LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}
 
 
 Text = Callable[[pd.DataFrame], str]
@@ -28,7 +34,8 @@ def write_table(
     stem: Path,
     name: str,
     scores: pd.DataFrame,
-    settings: dict[str, Any],
+    settings: TableSettings,
+    entrants: Entrants,
     sets: pd.DataFrame | None = None,
 ) -> None:
     """Write one of TABLES as CSV, Markdown and LaTeX.
@@ -38,13 +45,14 @@ def write_table(
         name: one of TABLES.
         scores: score rows.
         settings: the config's `tables` section.
+        entrants: who plays.
         sets: rows of distances between sets, if there are any.
 
     Raises:
         GeoEvsError: there is no such table, or rows come from different protocols.
     """
     spec = table_spec(name)
-    table = make_table(name, scores, settings, sets)
+    table = make_table(name, scores, settings, entrants, sets)
     write_formats(stem, table, partial(to_markdown, spec), partial(to_latex, spec))
 
 
@@ -84,7 +92,8 @@ def _unmeasured(rows: pd.DataFrame) -> set[str]:
 def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
     """Cells as a Markdown table."""
     lines = (header, ["---"] * len(header), *body)
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    escaped = ([cell.replace("|", r"\|") for cell in line] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
 
 
 def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
@@ -119,7 +128,8 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
         for metric in (*spec.metrics, *spec.set_metrics)
         if metric in lacking or _has_content(rows, metric)
     ]
-    header = ["method", *(["bin"] if spec.bins else [])]
+    about = {"bin": "bin"} if spec.bins else {"paradigm": "paradigm", "extra_prior": "extra prior"}
+    header = ["method", *about.values()]
     for metric in metrics:
         if f"{metric}_paper" in rows:
             header.append(f"{metric} {arrow(metric)} paper")
@@ -128,9 +138,9 @@ def _grid(spec: TableSpec, rows: pd.DataFrame) -> tuple[list[str], list[list[str
             header.append(f"{metric} floor")
     body = []
     for row in rows.to_dict("records"):
-        name = display_name(row["method"], row["variant"])
+        name = row["name"]
         line = [f"*{name}*" if row["group"] == "control" else name]
-        line += [row["bin"]] if spec.bins else []
+        line += [row[column] for column in about]
         for metric in metrics:
             if f"{metric}_paper" in rows:
                 line.append(number(metric, row[f"{metric}_paper"]))
@@ -187,7 +197,8 @@ def _measured(metric: str, row: dict) -> str:
 
 
 def _latex_line(cells: Sequence[str]) -> str:
-    symbols = {"_": r"\_", "%": r"\%", "&": r"\&", "*": "", "∞": r"$\infty$"}
+    symbols = {letter: f"\\{letter}" for letter in "_%&#${}"} | {"*": "", "∞": r"$\infty$"}
+    symbols |= {letter: rf"\text{word}{{}}" for letter, word in LATEX_WORDS.items()}
     symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
     escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]
     return " & ".join(escaped) + r" \\"

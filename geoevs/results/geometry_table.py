@@ -9,6 +9,7 @@ import pandas as pd
 from geoevs.protocol.depth_scoring import CONTROL, COVERAGE, FINE_TUNED, PRETRAINED
 from geoevs.results.bootstrap import summarise
 from geoevs.results.formats import latex_tabular, markdown_grid, write_formats
+from geoevs.results.settings import TableSettings
 
 METRICS = {"abs_rel": "↓", "rmse": "↓", "delta_1.25": "↑", COVERAGE: "↑"}
 TITLE = "Depth of recorded views (paper section 3.2)"
@@ -22,7 +23,7 @@ frame are medians.
 _ENTRANT = ["dataset", "model", "stage", "scale"]
 
 
-def make_geometry_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def make_geometry_table(scores: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """A row for every data set, model, stage and scale.
 
     Args:
@@ -34,9 +35,8 @@ def make_geometry_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
         on fine-tuned rows the paired `_change` from the pretrained network with its own; `n` scored
         views, `truth`, `seconds` a frame and `parameters`.
     """
-    intervals = settings["resamples"], settings["confidence"]
-    measured = summarise(scores, [*_ENTRANT, "metric"], *intervals)
-    changed = summarise(_changes(scores), [*_ENTRANT, "metric"], *intervals)
+    measured = summarise(scores, [*_ENTRANT, "metric"], *settings.bootstrap)
+    changed = summarise(_changes(scores), [*_ENTRANT, "metric"], *settings.bootstrap)
     table = []
     for key, rows in scores.groupby(_ENTRANT, sort=False):
         row: dict[str, Any] = dict(zip(_ENTRANT, key, strict=True))
@@ -54,7 +54,7 @@ def make_geometry_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
     return pd.DataFrame(table)
 
 
-def write_geometry_table(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+def write_geometry_table(stem: Path, scores: pd.DataFrame, settings: TableSettings) -> None:
     """Write `make_geometry_table` as CSV, Markdown and LaTeX; `stem` is the path without suffix."""
     table = make_geometry_table(scores, settings)
     write_formats(stem, table, geometry_markdown, geometry_latex)

@@ -7,11 +7,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import redraw
 from geoevs.results.formats import markdown_grid, write_formats
-from geoevs.results.tables import display_name, paper_values, table_spec
+from geoevs.results.paper import paper_method, paper_values
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import table_spec
 
 RANKED_TABLES = ("extrapolation", "interpolation")
 """Those in which the paper sets methods side by side that this suite runs (tables 2 and 5)."""
@@ -24,7 +27,7 @@ worst. Left out = methods of the paper's table that this run has no values of.
 """
 
 
-def make_rank_agreement(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def make_rank_agreement(scores: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """A row for every data set, table of the paper and metric that is both printed and measured.
 
     Args:
@@ -41,7 +44,7 @@ def make_rank_agreement(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
         GeoEvsError: the rows come from different protocols.
     """
     check_fingerprints(scores)
-    whole = scores[(scores["stressor"] == "") & (scores["variant"] == "default")]
+    whole = scores[(scores["stressor"] == "") & (scores["variant"] == DEFAULT)]
     return pd.DataFrame(
         [
             {"dataset": dataset, "table": table, "metric": metric}
@@ -54,7 +57,7 @@ def make_rank_agreement(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.Da
     )
 
 
-def write_rank_agreement(stem: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+def write_rank_agreement(stem: Path, scores: pd.DataFrame, settings: TableSettings) -> None:
     """Write `make_rank_agreement` as CSV and Markdown; `stem` is the path without suffix."""
     write_formats(stem, make_rank_agreement(scores, settings), rank_agreement_markdown)
 
@@ -76,7 +79,7 @@ def rank_agreement_markdown(table: pd.DataFrame) -> str:
 
 
 def _agreement(
-    scores: pd.DataFrame, table: str, metric: str, settings: dict[str, Any]
+    scores: pd.DataFrame, table: str, metric: str, settings: TableSettings
 ) -> dict[str, Any]:
     """One row but for its key; `scores` are of one data set."""
     printed = {name: row[metric] for name, row in paper_values(table).items() if metric in row}
@@ -101,13 +104,12 @@ def _agreement(
     scenes = cells.index.get_level_values("scene").to_numpy(object)
     if len(set(scenes)) == len(scenes):  # one frame each: nothing can be redrawn
         return row
-    frames = redraw(scenes, settings["resamples"], np.random.default_rng(0))
+    frames = redraw(scenes, settings.resamples, np.random.default_rng(0))
     taus = [kendalltau(paper, drawn).statistic for drawn in frames @ values]
-    tail = (1 - settings["confidence"]) / 2
-    row["tau_low"], row["tau_high"] = np.nanquantile(taus, [tail, 1 - tail], method="inverted_cdf")
+    row["tau_low"], row["tau_high"] = np.nanquantile(taus, settings.tails, method="inverted_cdf")
     return row
 
 
 def _order(methods: list[str], values: np.ndarray) -> str:
-    """Names from the highest value to the lowest."""
-    return " > ".join(display_name(methods[n], "default") for n in np.argsort(-values))
+    """The paper's names from the highest value to the lowest."""
+    return " > ".join(paper_method(methods[n])["name"] for n in np.argsort(-values))

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoevs.protocol.entries import FAILED
+from geoevs.protocol.entries import FAILED, FLOOR
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.stability import CLEAN
 from geoevs.protocol.stability_scoring import SPREADS
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.bootstrap import redraw, summarise
-from geoevs.results.tables import FLOOR, display_name, is_control
+from geoevs.results.entrants import ENTRANT, INFO, Entrants
+from geoevs.results.settings import TableSettings
 
-ENTRANT = ["dataset", "method", "variant"]
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
     *ENTRANT,
@@ -35,7 +35,17 @@ COLUMNS = [
     "failure_rate",
     "n",
 ]
-BREAKING_COLUMNS = [*ENTRANT, "stressor", "metric", "level", "low", "high", "control", "lead"]
+BREAKING_COLUMNS = [
+    *ENTRANT,
+    "stressor",
+    "metric",
+    "level",
+    "low",
+    "high",
+    "control",
+    "lead",
+    *INFO,
+]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
 """Metrics that have breaking points."""
 
@@ -52,12 +62,15 @@ class Curve:
     samples: np.ndarray  # [R, L]
 
 
-def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def make_stability_table(
+    scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> pd.DataFrame:
     """A row for every entrant, stressor, level and metric.
 
     Args:
         scores: the suite's score rows.
         settings: the config's `tables` section.
+        entrants: who plays.
 
     Returns:
         COLUMNS. `mean` and its interval are over frames and draws; `change` is the mean minus the
@@ -76,19 +89,18 @@ def make_stability_table(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.D
     table = []
     for key, rows in _curves(scores.assign(below=below)):
         curve = fit_curve(rows, key["stressor"], settings)
-        tail = (1 - settings["confidence"]) / 2
         for number, level in enumerate(curve.levels):
             here = _at(rows, level)
             values = here["value"].dropna()
-            low, high = _ends(curve.samples[:, number], tail)
+            low, high = _ends(curve.samples[:, number], settings)
             changes = curve.samples[:, number] - curve.samples[:, 0]
-            change_low, change_high = _ends(changes, tail)
+            change_low, change_high = _ends(changes, settings)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
                 {
                     **key,
-                    "name": display_name(key["method"], key["variant"]),
-                    "control": is_control(key["method"]),
+                    "name": entrants.name(key["method"], key["variant"]),
+                    "control": entrants.is_control(key["method"], key["variant"]),
                     "level": level,
                     "mean": curve.means[number],
                     "low": low,
@@ -110,10 +122,10 @@ def _at(rows: pd.DataFrame, level: float) -> pd.DataFrame:
     return rows[rows["level"].isna() if np.isnan(level) else rows["level"] == level]
 
 
-def _ends(samples: np.ndarray, tail: float) -> tuple[float, float]:
+def _ends(samples: np.ndarray, settings: TableSettings) -> tuple[float, float]:
     if np.isnan(samples).all() or np.ptp(samples) == 0:
         return np.nan, np.nan
-    low, high = np.nanquantile(samples, [tail, 1 - tail], method="inverted_cdf")
+    low, high = np.nanquantile(samples, settings.tails, method="inverted_cdf")
     return float(low), float(high)
 
 
@@ -153,7 +165,7 @@ def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame
         yield dict(zip(by, key, strict=True)), rows
 
 
-def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Curve:
+def fit_curve(rows: pd.DataFrame, stressor: str, settings: TableSettings) -> Curve:
     """Means by level, with resamples that redraw frames within scenes and, apart, draws.
 
     Targets of a frame are averaged first. A frame and draw counts the same at every level.
@@ -169,8 +181,8 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Cu
     frames = rows[["scene", "frame"]].drop_duplicates().sort_values(["scene", "frame"])
     frames = pd.MultiIndex.from_frame(frames)
     rng = np.random.default_rng(0)
-    by_draw = redraw(np.zeros(len(draws)), settings["resamples"], rng)
-    by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings["resamples"], rng)
+    by_draw = redraw(np.zeros(len(draws)), settings.resamples, rng)
+    by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings.resamples, rng)
     # Without stress, NaN, is the first of the levels where there is such a one.
     numbers = rows["level"].map({level: number for number, level in enumerate(levels)}).fillna(0)
     cells = rows.assign(number=numbers.astype(int)).pivot_table(
@@ -188,12 +200,15 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: dict[str, Any]) -> Cu
     return Curve(levels, means, samples.T)
 
 
-def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def breaking_points(
+    scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> pd.DataFrame:
     """The level at which each method falls below the best control under the same stress.
 
     Args:
         scores: the suite's score rows.
         settings: the config's `tables` section.
+        entrants: who plays.
 
     Returns:
         A row for every method (controls excepted), stressor and metric of JUDGED_BY: `level`, the
@@ -201,7 +216,8 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
         `high` (harder) over resamples; `clean` is before any stress and `none` beyond the hardest
         level. `control` is the best one there, `lead` by how much the method is above it without
         stress, in the metric's unit. Levels at which no control has a value judge nobody; where
-        that is all of them, the row is empty.
+        that is all of them, the row is empty. The method's `name`, `paradigm`, `extra_prior` and
+        `needs` come last.
     """
     curves: dict[tuple, dict[tuple[str, str], Curve]] = {}
     for key, rows in _curves(scores[scores["metric"].isin(JUDGED_BY)]):
@@ -209,11 +225,14 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
         entrant = (key["method"], key["variant"])
         curves.setdefault(group, {})[entrant] = fit_curve(rows, key["stressor"], settings)
     table = []
-    for (dataset, stressor, metric), entrants in curves.items():
-        controls = {who: curve for who, curve in entrants.items() if is_control(who[0])}
-        for (method, variant), curve in entrants.items():
-            if is_control(method) or not controls:
+    for (dataset, stressor, metric), here in curves.items():
+        controls = {
+            entrants.name(*who): curve for who, curve in here.items() if entrants.is_control(*who)
+        }
+        for who, curve in here.items():
+            if entrants.is_control(*who) or not controls:
                 continue
+            method, variant = who
             table.append(
                 {
                     "dataset": dataset,
@@ -221,14 +240,15 @@ def breaking_points(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFr
                     "variant": variant,
                     "stressor": stressor,
                     "metric": metric,
-                    **_breaking_point(curve, controls, settings["confidence"]),
+                    **_breaking_point(curve, controls, settings),
+                    **entrants.columns(method, variant),
                 }
             )
     return pd.DataFrame(table, columns=BREAKING_COLUMNS)
 
 
 def _breaking_point(
-    curve: Curve, controls: dict[tuple[str, str], Curve], confidence: float
+    curve: Curve, controls: dict[str, Curve], settings: TableSettings
 ) -> dict[str, Any]:
     names = list(controls)
     means = np.stack([controls[name].means for name in names])
@@ -242,15 +262,13 @@ def _breaking_point(
     )
     labels = ["clean" if np.isnan(level) else f"{level:g}" for level in curve.levels] + ["none"]
     first = _first_broken(curve.means[None], bar)[0]
-    tail = (1 - confidence) / 2
-    ends = np.quantile(
-        _first_broken(curve.samples, rivals), [tail, 1 - tail], method="inverted_cdf"
-    )
+    broken = _first_broken(curve.samples, rivals)
+    ends = np.quantile(broken, settings.tails, method="inverted_cdf")
     return {
         "level": labels[first],
         "low": labels[int(ends[0])],
         "high": labels[int(ends[1])],
-        "control": display_name(*names[best[min(first, defined[-1])]]),
+        "control": names[best[min(first, defined[-1])]],
         "lead": curve.means[0] - bar[0, 0],
     }
 
@@ -267,8 +285,8 @@ def _first_broken(
     return np.where(broken.any(axis=1), broken.argmax(axis=1), values.shape[1])
 
 
-def seed_spread(scores: pd.DataFrame, settings: dict[str, Any]) -> pd.DataFrame:
+def seed_spread(scores: pd.DataFrame, settings: TableSettings, entrants: Entrants) -> pd.DataFrame:
     """How far a method's draws lie apart without stress, in 8-bit levels (see SPREADS)."""
     rows = scores[scores["metric"].isin(SPREADS)]
     rows = rows.assign(value=255 * rows["value"])
-    return summarise(rows, [*ENTRANT, "metric"], settings["resamples"], settings["confidence"])
+    return entrants.describe(summarise(rows, [*ENTRANT, "metric"], *settings.bootstrap))

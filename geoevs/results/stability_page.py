@@ -8,16 +8,17 @@ from typing import Any
 import pandas as pd
 
 from geoevs.core.files import write_text
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.stability_scoring import SPREADS
+from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.formats import markdown_grid, with_interval
+from geoevs.results.settings import TableSettings
 from geoevs.results.stability import (
-    ENTRANT,
     JUDGED_BY,
     breaking_points,
     make_stability_table,
     seed_spread,
 )
-from geoevs.results.tables import FLOOR, display_name, is_control
 
 BREAKING_LEGEND = """The first level at which a method's mean is below that of the best control
 under the same stress [over resamples of frames and draws: from the mildest to the hardest].
@@ -34,7 +35,9 @@ reprojection supports a pixel and where not.
 """
 
 
-def write_stability(folder: Path, scores: pd.DataFrame, settings: dict[str, Any]) -> None:
+def write_stability(
+    folder: Path, scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> None:
     """Write the curves, the breaking points and the seed spread as CSV, and the page in words.
 
     Args:
@@ -42,14 +45,15 @@ def write_stability(folder: Path, scores: pd.DataFrame, settings: dict[str, Any]
             `breaking_points.md` go.
         scores: the suite's score rows.
         settings: the config's `tables` section.
+        entrants: who plays.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
     """
     tables = {
-        "stability": make_stability_table(scores, settings),
-        "breaking_points": breaking_points(scores, settings),
-        "seed_spread": seed_spread(scores, settings),
+        "stability": make_stability_table(scores, settings, entrants),
+        "breaking_points": breaking_points(scores, settings, entrants),
+        "seed_spread": seed_spread(scores, settings, entrants),
     }
     for name, table in tables.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
@@ -70,13 +74,15 @@ def stability_markdown(curves: pd.DataFrame, broken: pd.DataFrame, spread: pd.Da
         parts.append(f"## {dataset}, {metric}\n\n{grid}\n")
     parts += ["# What the hardest level leaves\n", LEFT_LEGEND]
     hardest = hardest_levels(curves)
+    names, controls = hardest["name"], hardest["control"].astype(bool)
+    hardest = hardest.assign(name=names.mask(controls, "*" + names + "*"))
     for (dataset, metric), rows in hardest.groupby(["dataset", "metric"], sort=False):
         parts.append(f"## {dataset}, {metric}\n\n{_grid(rows, _left, _with_level)}\n")
     parts += ["# Seed spread\n", SPREAD_LEGEND]
     body = []
-    for key, rows in spread.groupby(ENTRANT, sort=False):
+    for _, rows in spread.groupby(ENTRANT, sort=False):
         means = rows.set_index("metric")["mean"]
-        body.append([display_name(*key[1:]), *(f"{means[name]:.2f}" for name in SPREADS)])
+        body.append([rows["name"].iloc[0], *(f"{means[name]:.2f}" for name in SPREADS)])
     parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
     return "\n".join(parts)
 
@@ -97,10 +103,9 @@ def _grid(rows: pd.DataFrame, cell: Cell, heading: Cell) -> str:
     """A line for every entrant, a column for every stressor."""
     columns = {row["stressor"]: heading(row) for row in rows.to_dict("records")}
     body = []
-    for (method, variant), stressed in rows.groupby(["method", "variant"], sort=False):
+    for _, stressed in rows.groupby(["method", "variant"], sort=False):
         cells = {row["stressor"]: cell(row) for row in stressed.to_dict("records")}
-        name = display_name(method, variant)
-        name = f"*{name}*" if is_control(method) else name
+        name = stressed["name"].iloc[0]
         body.append([name, *(cells.get(stressor, "") for stressor in columns)])
     return markdown_grid(["method", *columns.values()], body)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -10,7 +9,9 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
-from geoevs.results.tables import TABLES, TableSpec, bin_names, make_table, table_spec
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TABLES, TableSpec, bin_names, table_spec
+from geoevs.results.tables import make_table
 from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
 from geoevs.results.why_tables import OTHERS
 
@@ -56,7 +57,8 @@ def _of_table(cell: Cell, record: Record) -> Found:
     method = record.entrant(cell.entrant, dataset)
     scores, sets = record.scores, record.read(layout.SET_SCORES)
     here = scores[scores["dataset"] == dataset]
-    table = make_table(cell.table, here, record.settings, sets[sets["dataset"] == dataset])
+    distances = sets[sets["dataset"] == dataset]
+    table = make_table(cell.table, here, record.settings, record.entrants, distances)
     chosen = (table["method"] == method.method) & (table["variant"] == method.variant)
     row = table[chosen & (table["bin"] == label if spec.bins else True)].iloc[0]
     of_sets = cell.metric in SET_METRICS
@@ -71,7 +73,7 @@ def _of_table(cell: Cell, record: Record) -> Found:
     if of_sets:  # which have no worst view: all of them made the number
         views = here.query(" and ".join(terms_of(**who, split=list(spec.splits)))).itertuples()
     return Found(
-        list(_value(cell, row, dataset)),
+        [*_value(cell, row, dataset), record.entrant_line(method.method, method.variant)],
         [rows],
         [
             *([] if of_sets else record.extremes(rows.rows)),
@@ -106,14 +108,15 @@ def _value(cell: Cell, row: pd.Series, dataset: str) -> Iterator[str]:
         yield f"note      {text}"
 
 
-def _of_bin(spec: TableSpec, label: str, settings: dict[str, Any]) -> list[str]:
+def _of_bin(spec: TableSpec, label: str, settings: TableSettings) -> list[str]:
     """What a query asks of the rows that a table averages in one bin."""
     stressors = ["", THINNING] if spec.edges == "support_bins" else [""]
     plain = terms_of(stressor=stressors)
     if not spec.edges:
         return [*terms_of(split=[label] if spec.bins else list(spec.splits)), *plain]
     number = list(bin_names(spec, settings)).index(label)
-    low, high = settings[spec.edges][number : number + 2]
-    below = "<=" if high == settings[spec.edges][-1] else "<"
+    edges = getattr(settings, spec.edges)
+    low, high = edges[number : number + 2]
+    below = "<=" if high == edges[-1] else "<"
     place = f"{spec.bins} >= {low} and {spec.bins} {below} {high}"
     return [*terms_of(split=list(spec.splits)), place, *plain]

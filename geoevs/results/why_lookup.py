@@ -10,9 +10,13 @@ from typing import Any
 import pandas as pd
 
 from geoevs import layout
+from geoevs.config.trainings import training_of, training_settings
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, whole_file
-from geoevs.protocol.entries import MethodEntry
+from geoevs.methods.contract import DEFAULT
+from geoevs.protocol.entries import MethodEntry, label_of, name_of
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
 from geoevs.scenes.camera import view_key
 
 SHOWN = 3
@@ -87,7 +91,7 @@ class Record:
         self.run = run
         self.manifest = read_json(run / layout.MANIFEST)
         self.config = self.manifest["config"]
-        self.settings = self.config["tables"]
+        self.settings = TableSettings.parse(self.config["tables"])
 
     @cached_property
     def scores(self) -> pd.DataFrame:
@@ -98,6 +102,18 @@ class Record:
     def costs(self) -> pd.DataFrame:
         """Cost rows."""
         return self.read(layout.COSTS)
+
+    @cached_property
+    def entrants(self) -> Entrants:
+        """Who plays."""
+        return Entrants.read(self.run / layout.ENTRANTS)
+
+    def entrant_line(self, method: str, variant: str = DEFAULT) -> str:
+        """Who plays: name, paradigm and extra prior, as far as they are known."""
+        cells = self.entrants.columns(method, variant)
+        said = {"paradigm": cells["paradigm"], "extra prior": cells["extra_prior"]}
+        parts = [f"{what} {text}" for what, text in said.items() if text]
+        return f"entrant   {'; '.join([cells['name'], *parts])}"
 
     def read(self, name: str) -> pd.DataFrame:
         """The rows of one of the run's files.
@@ -118,7 +134,7 @@ class Record:
         here = self.scores.loc[self.scores["dataset"] == dataset, ["method", "variant"]]
         pairs = here.drop_duplicates().itertuples(index=False, name=None)
         entrant = MethodEntry.parse(name, {}, 0)
-        known("entrant", entrant.name, [MethodEntry(*pair).name for pair in pairs])
+        known("entrant", entrant.name, [name_of(*pair) for pair in pairs])
         return entrant
 
     def entries(self, dataset: str, method: str, variants: Iterable[str]) -> list[MethodEntry]:
@@ -149,8 +165,7 @@ class Record:
     def logs(self, rows: Iterable[Any]) -> list[str]:
         """Where the logs of the fits behind score or cost rows would lie, in the rows' order."""
         fits = dict.fromkeys(
-            (row.dataset, row.scene, MethodEntry(row.method, row.variant, {}, int(row.seed)).label)
-            for row in rows
+            (row.dataset, row.scene, label_of(row.method, row.variant, row.seed)) for row in rows
         )
         return [
             self.path(pattern, *fit)
@@ -161,7 +176,7 @@ class Record:
     def extremes(self, rows: pd.DataFrame) -> Iterator[str]:
         """The score rows' lowest and highest values, each with its view's picture."""
         for title, row in ranked(rows):
-            label = MethodEntry(row.method, row.variant, {}, int(row.seed)).label
+            label = label_of(row.method, row.variant, row.seed)
             folder = self.path(layout.RENDERS, row.dataset, row.scene, label)
             yield f"{title:9} {row.value:.4g}: {folder}/{view_key(row.target, row.frame)}.png"
 
@@ -178,12 +193,10 @@ class Record:
         for name in dict.fromkeys(names):
             method = self.config["methods"].get(name) or {}
             lines.append(f"methods.{name}: {method}")
-            training = self.config.get("training", {})
-            if method.get("training") in training.get("variants", {}):
-                common = {key: value for key, value in training.items() if key != "variants"}
-                variant = training["variants"][method["training"]]
-                lines.append(f"training.{method['training']}: {common | variant}")
-        return [*lines, f"tables: {self.settings}"]
+            training = training_of(name.partition(".")[0], method.get("training", ""))
+            if training and "trainings" in self.config:
+                lines.append(f"trainings {training}: {training_settings(self.config, training)}")
+        return [*lines, f"tables: {self.config['tables']}"]
 
     def command(self, found: Found, table: str) -> str:
         """Makes the cell's rows again, and no others, then the table."""
@@ -207,8 +220,8 @@ def ranked(rows: pd.DataFrame) -> Iterator[tuple[str, Any]]:
 def terms_of(**wanted: Any) -> list[str]:
     """Terms of a query: columns that are a value, or one of a list of values.
 
-    >>> terms_of(method="geo-evs", split=["observed"])
-    ['method == "geo-evs"', "split in ['observed']"]
+    >>> terms_of(method="mine", split=["observed"])
+    ['method == "mine"', "split in ['observed']"]
     """
     return [
         f"{name} in {value}" if isinstance(value, list) else f'{name} == "{value}"'

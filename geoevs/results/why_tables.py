@@ -6,11 +6,13 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
+from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.depth_scoring import CONTROL, FINE_TUNED, PRETRAINED
-from geoevs.protocol.entries import FAILED, MethodEntry
+from geoevs.protocol.entries import FAILED, MethodEntry, name_of
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results import ablation, complexity, costs, geometry_table, rank_agreement
-from geoevs.results.tables import paper_values, table_spec
+from geoevs.results.paper import paper_values
+from geoevs.results.table_specs import table_spec
 from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
 from geoevs.scenes.camera import view_key
 
@@ -22,11 +24,13 @@ IN_CONFIG = "to `methods` in the config"
 
 
 def why_ablation(cell: Cell, record: Record) -> Found:
-    """A cell of the ablation table; the entrant is the variant, `geo-evs` the full model."""
+    """A cell of the ablation table; the entrant is the variant, METHOD alone the full model."""
     dataset = record.dataset(cell.dataset)
-    table = ablation.make_ablation_table(_of(record.scores, dataset), record.settings)
-    names = [MethodEntry(ablation.METHOD, variant).name for variant in table["variant"] if variant]
-    name = _entrant(cell, names, dataset, f"a variant of {ablation.METHOD} {IN_CONFIG}")
+    method = record.settings.ablation
+    here = _of(record.scores, dataset)
+    table = ablation.make_ablation_table(here, record.settings, record.entrants)
+    names = [name_of(method, variant) for variant in table["variant"] if variant]
+    name = _entrant(cell, names, dataset, f"a variant of {method} {IN_CONFIG}")
     measures = {
         ablation.column_name(*measure) + end: (*measure, end)
         for measure in ablation.MEASURES
@@ -35,11 +39,11 @@ def why_ablation(cell: Cell, record: Record) -> Found:
     split, metric, end = measures[known("column", cell.metric, measures)]
     variant = MethodEntry.parse(name, {}, 0).variant
     variants = list(dict.fromkeys([variant, ablation.FULL] if end == "_diff" else [variant]))
-    who = {"dataset": dataset, "method": ablation.METHOD, "variant": variants}
+    who = {"dataset": dataset, "method": method, "variant": variants}
     terms = terms_of(**who, split=split, metric=metric, stressor=[""])
     rows = Rows.of(layout.SCORES, record.scores, terms)
     mine = rows.rows[rows.rows["variant"] == variant]
-    entries = record.entries(dataset, ablation.METHOD, variants)
+    entries = record.entries(dataset, method, variants)
     notes = {
         "_diff": "the full model minus the variant, by scene, frame, target and seed",
         "_seed_sd": "the standard deviation of the seeds' means",
@@ -49,6 +53,7 @@ def why_ablation(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, table[table["variant"] == variant].iloc[0], dataset),
             *([f"note      {notes[end]}"] if end else []),
+            record.entrant_line(method, variant),
         ],
         [rows],
         [*record.extremes(mine), *record.pictures(dataset, entries[0].label)],
@@ -91,7 +96,7 @@ def why_geometry(cell: Cell, record: Record) -> Found:
         [value_line(cell, mine[places == place].iloc[0], dataset)],
         [rows],
         [*views, "pictures  no depth is kept: these are the photos that it was predicted from"],
-        [*learnt, f"tables: {record.settings}"],
+        [*learnt, f"tables: {record.config['tables']}"],
         [record.path(layout.DEPTH_SCORE_PART, dataset, scene) for scene in scenes],
         rules=("depth_scores_of_scene",),
         logs=[record.path(layout.DEPTH_SCORE_LOG, dataset, scene) for scene in seen],
@@ -102,7 +107,7 @@ def why_complexity(cell: Cell, record: Record) -> Found:
     """A cell of the complexity table; the entrant is the method, the bin a scene or `mean`."""
     dataset = record.dataset(cell.dataset)
     scores, spent = _of(record.scores, dataset), _of(record.costs, dataset)
-    table = complexity.make_complexity_table(scores, spent)
+    table = complexity.make_complexity_table(scores, spent, record.entrants)
     remedy = f"fixed sizes with `{complexity.ADDS_SIZES}`"
     method = _entrant(cell, table["method"].dropna(), dataset, remedy)
     mine = table[table["method"] == method]
@@ -121,6 +126,7 @@ def why_complexity(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, mine[mine["scene"] == scene].iloc[0], dataset),
             f"note      {complexity.CHOSEN} chose its size; the best of the others was found after",
+            record.entrant_line(method, complexity.CHOSEN),
         ],
         [rows, Rows.of(layout.COSTS, record.costs, fits)],
         [*record.extremes(rows.rows), *record.pictures(dataset, entries[0].label)],
@@ -133,8 +139,8 @@ def why_complexity(cell: Cell, record: Record) -> Found:
 def why_costs(cell: Cell, record: Record) -> Found:
     """A cell of the cost table."""
     dataset = record.dataset(cell.dataset)
-    table = costs.make_cost_table(_of(record.costs, dataset))
-    names = [MethodEntry(row.method, row.variant).name for row in table.itertuples()]
+    table = costs.make_cost_table(_of(record.costs, dataset), record.entrants)
+    names = [name_of(row.method, row.variant) for row in table.itertuples()]
     name = known("entrant", cell.entrant, names)
     column = known("column", cell.metric, costs.COLUMNS)
     entry = MethodEntry.parse(name, {}, 0)
@@ -149,6 +155,7 @@ def why_costs(cell: Cell, record: Record) -> Found:
         [
             value_line(cell, table.iloc[names.index(name)], dataset),
             f"note      the mean of the rows' column {source}{unit}; a cost has no pictures",
+            record.entrant_line(entry.method, entry.variant),
         ],
         [rows],
         [
@@ -173,10 +180,10 @@ def why_rank_agreement(cell: Cell, record: Record) -> Found:
     table = rank_agreement.make_rank_agreement(scores, record.settings)
     row = table[(table["table"] == name) & (table["metric"] == metric)].iloc[0]
     ranked_here = [method for method, cells in printed.items() if metric in cells]
-    who = {"dataset": dataset, "method": ranked_here, "variant": "default"}
+    who = {"dataset": dataset, "method": ranked_here, "variant": DEFAULT}
     terms = terms_of(**who, split=list(spec.splits), metric=metric, stressor=[""])
     rows = Rows.of(layout.SCORES, record.scores, terms)
-    entries = [e for method in ranked_here for e in record.entries(dataset, method, ["default"])]
+    entries = [e for method in ranked_here for e in record.entries(dataset, method, [DEFAULT])]
     value = {metric + end: row[f"tau{end}"] for end in ("", "_low", "_high")}
     return Found(
         [

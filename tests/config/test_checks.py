@@ -310,6 +310,16 @@ MISTAKES = {
         "24: the edges must rise; sort them and drop repeats",
     ),
     "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "25: the edges must rise"),
+    "ablation of nobody": (
+        "ablation: reproject-inpaint",
+        "ablation: reproject.wide",
+        "23: there is no method 'reproject.wide'; did you mean 'reproject'",
+    ),
+    "ablation of an oracle": (
+        "ablation: reproject-inpaint",
+        "ablation: truth",
+        "23: there is no method 'truth'; ",
+    ),
     "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "24: 'tables.pose_bins' is wrong: [0]"),
     "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
@@ -385,6 +395,14 @@ def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
     monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
     with pytest.raises(GeoEvsError, match=r"method 'needy' cannot be imported \(No module named"):
         check("reference: {}", "needy: {options: {a: 1}}")
+
+
+def test_a_folder_with_the_name_of_a_control_is_refused(check, tmp_path, monkeypatch):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth/adapter.py").write_text("")
+    monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
+    with pytest.raises(GeoEvsError, match=r"^baselines/truth/adapter.py: 'truth' is the contr"):
+        check("seed: 3", "seed: 4")
 
 
 def test_a_method_that_cannot_be_imported_fails_alone(check, tmp_path, monkeypatch):

@@ -108,6 +108,15 @@ def test_a_method_counts_where_it_is_named(copy):
     assert fresh(FIT, method) != both
 
 
+def test_a_method_that_is_not_python_counts_by_its_text(copy):
+    root, fresh = copy
+    method = find_methods()["reproject-inpaint"]
+    append(root / "baselines/controls/reproject_inpaint/adapter.py", "\ndef fit(:\n")
+    before = fresh(FIT, method)
+    append(root / "baselines/controls/reproject_inpaint/adapter.py", "# a remark\n")
+    assert fresh(FIT, method) != before
+
+
 def test_a_number_counts(copy):
     root, fresh = copy
     before = fresh("geoevs.protocol.metrics")

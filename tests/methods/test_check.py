@@ -260,7 +260,15 @@ def test_the_commands(repository, monkeypatch, run):
     assert "baselines/made_by_command/adapter.py" in made.output
     checked = run("check-adapter", "made-by-command")
     assert checked.exit_code == 0, checked.output
-    assert checked.output.count("✓") == len(CHECKS)
+    assert checked.output.count("✓") == len(CHECKS) + 1  # and that it reads without torch
+
+
+@pytest.mark.parametrize("command", ["new-adapter", "check-adapter"])
+@pytest.mark.parametrize("name", ["reference", "truth"])
+def test_the_name_of_a_control_that_copies_the_answer_is_taken(run, command, name):
+    refused = run(command, name)
+    assert refused.exit_code == 1
+    assert str(refused.exception).startswith(f"'{name}' is the control that copies the answer")
 
 
 def test_the_check_command_fails_with_a_sentence(adapter, run):

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import pytest
@@ -10,8 +11,11 @@ from geoevs.results.ablation import (
     column_name,
     make_ablation_table,
 )
+from geoevs.results.entrants import Entrants, Info
+from geoevs.results.settings import TableSettings
 
-SETTINGS = {"resamples": 200, "confidence": 0.95}
+SETTINGS = TableSettings([], [], 200, 0.95, "geo-evs")
+ENTRANTS = Entrants({})
 HIDDEN = {"split": "masked-observed", "metric": "psnr_removed"}
 
 
@@ -19,7 +23,8 @@ HIDDEN = {"split": "masked-observed", "metric": "psnr_removed"}
 def table(rows):
     def make(*changes):
         usual = {"method": "geo-evs", "target": "t"}
-        return make_ablation_table(rows(*[{**usual, **change} for change in changes]), SETTINGS)
+        scores = rows(*[{**usual, **change} for change in changes])
+        return make_ablation_table(scores, SETTINGS, ENTRANTS)
 
     return make
 
@@ -96,6 +101,24 @@ def test_only_plain_rows_of_geo_evs_count(table):
         *values("default", [90.0], split="pose-sweep"),
     )
     assert made["extrapolation_sparse_psnr"].tolist() == [20.0]
+
+
+def test_the_config_says_which_method_is_ablated(rows):
+    settings = dataclasses.replace(SETTINGS, ablation="mine")
+    made = make_ablation_table(
+        rows(
+            *values("default", [20.0], method="mine"),
+            *values("small", [18.5], method="mine"),
+            *values("v1", [90.0], method="geo-evs"),
+        ),
+        settings,
+        Entrants({"mine": Info("Mine", "reconstruction"), "mine.small": Info("Mine")}),
+    )
+    assert by_variant(made)["small"]["extrapolation_sparse_psnr_diff"] == 1.5
+    assert made["method"].tolist() == ["mine", "mine"]
+    assert "extrapolation_sparse_psnr_paper" not in made  # the paper ablates another one
+    assert "| dB ↑ | Mine (small) | Mine |" in ablation_markdown(made)
+    assert "| extrapolation sparse_psnr | +1.50 |" in ablation_markdown(made)
 
 
 def test_what_cannot_be_compared_is_noted(table):

@@ -9,8 +9,11 @@ from geoevs.results.audit import agreement, audit_tables, conditioning_gain
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.audit_page import audit_markdown, write_audit
 from geoevs.results.chart_pages import page_png
+from geoevs.results.entrants import Entrants, Info
+from geoevs.results.settings import TableSettings
 
-SETTINGS = {"resamples": 100, "confidence": 0.9}
+SETTINGS = TableSettings([], [], 100, 0.9, "geo-evs")
+ENTRANTS = Entrants({"a": Info("A")})
 FRAMES = range(4)
 DENSE = {"mean-colour": 12.0, "a": 20.0, "b": 22.0, "c": 26.0}
 
@@ -98,14 +101,14 @@ def rows():
 
 
 def test_the_page_says_what_the_tables_say(rows):
-    page = audit_markdown(audit_tables(rows, SETTINGS))
+    page = audit_markdown(audit_tables(rows, SETTINGS, ENTRANTS))
     for text in (
         "It ranks 4 entrants as dense PSNR does: Kendall's tau is 1.00 [1.00, 1.00]",
         "sparse PSNR is off by +0.25 dB at a support of 0.05, and at worst by +0.25 dB, at 1.",
         "25.0 % of the reference's pixels are wrong: 12.5 % background",
         "The truth itself scores 28.0 dB against the reference, 33.0 dB on",
         "in dB: front 31.0",
-        "a gains 0.75 [0.75, 0.75] dB",
+        "A gains 0.75 [0.75, 0.75] dB",
     ):
         assert text in page
 
@@ -113,25 +116,25 @@ def test_the_page_says_what_the_tables_say(rows):
 def test_small_biases_have_digits_enough(rows):
     mae = (rows["part"] == "agreement") & (rows["metric"] == "sparse_mae")
     rows.loc[mae, "value"] = rows.loc[mae, "dense"] - 0.0064
-    page = audit_markdown(audit_tables(rows, SETTINGS))
+    page = audit_markdown(audit_tables(rows, SETTINGS, ENTRANTS))
     assert "| sparse_mae | 0.0600 | -0.0064 [-0.0064, -0.0064] |" in page
     assert "| sparse_psnr | 0.0600 | 1.00 [1.00, 1.00] |" in page
 
 
 def test_every_metric_of_the_legend_has_its_bias_drawn(rows):
-    chart = agreement_chart(audit_tables(rows, SETTINGS)["agreement"]).to_dict()
+    chart = agreement_chart(audit_tables(rows, SETTINGS, ENTRANTS)["agreement"]).to_dict()
     *bias, tau = (
         {row["metric"] for row in chart["datasets"][panel["data"]["name"]]}
         for panel in chart["vconcat"]
     )
     assert set.union(*bias) == tau == set(TWINS)
     assert {"sparse_mae", "sparse_rmse"} in bias
-    chart = support_chart(audit_tables(rows, SETTINGS)["support_bias"]).to_dict()
+    chart = support_chart(audit_tables(rows, SETTINGS, ENTRANTS)["support_bias"]).to_dict()
     assert len(chart["vconcat"]) == 2
 
 
 def test_without_truth_it_speaks_of_the_ceiling_alone(rows):
-    tables = audit_tables(rows[rows["part"] == "ceiling"], SETTINGS)
+    tables = audit_tables(rows[rows["part"] == "ceiling"], SETTINGS, ENTRANTS)
     page = audit_markdown(tables)
     assert "Noise ceiling" in page
     assert "Ranks" not in page
@@ -140,14 +143,14 @@ def test_without_truth_it_speaks_of_the_ceiling_alone(rows):
 
 
 def test_charts_are_drawn(rows):
-    tables = audit_tables(rows, SETTINGS)
+    tables = audit_tables(rows, SETTINGS, ENTRANTS)
     assert page_png(agreement_chart(tables["agreement"]).to_dict()).startswith(b"\x89PNG")
     assert page_png(support_chart(tables["support_bias"]).to_dict()).startswith(b"\x89PNG")
 
 
 def test_the_suite_is_its_tables_two_charts_and_a_page(rows, tmp_path):
-    write_audit(tmp_path, rows, SETTINGS)
-    tables = audit_tables(rows, SETTINGS)
+    write_audit(tmp_path, rows, SETTINGS, ENTRANTS)
+    tables = audit_tables(rows, SETTINGS, ENTRANTS)
     assert {path.name for path in tmp_path.iterdir()} == {
         *(f"{name}.csv" for name in tables),
         "agreement.png",

@@ -1,6 +1,7 @@
 """Two entrants on the same views: pairs, seeds, levels, and what a terminal shows."""
 
 import math
+from dataclasses import asdict
 
 import pandas as pd
 import pytest
@@ -9,9 +10,11 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_bytes, write_json
 from geoevs.results.compare import compare_entrants, comparison_text, paired_of, rows_of
+from geoevs.results.settings import TableSettings
 
-SETTINGS = {"resamples": 200, "confidence": 0.95}
-BINS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.05, 0.1]}
+SETTINGS = TableSettings(
+    [0, 15, 30], [0, 0.05, 0.1], resamples=200, confidence=0.95, ablation="geo-evs"
+)
 
 
 def series(method, numbers, **more):
@@ -37,7 +40,7 @@ def folder(rows, tmp_path):
 
     def make(*changes):
         write_bytes(tmp_path / layout.SCORES, rows(*changes).to_parquet(index=False))
-        config = {"tables": SETTINGS | BINS, "methods": {}}
+        config = {"tables": asdict(SETTINGS), "methods": {}}
         write_json(tmp_path / layout.MANIFEST, {"config": config})
         return tmp_path
 

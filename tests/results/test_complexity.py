@@ -16,9 +16,12 @@ from geoevs.results.complexity import (
     size_curves,
 )
 from geoevs.results.complexity_chart import size_chart
+from geoevs.results.entrants import Entrants
+from geoevs.results.settings import TableSettings
 
 SCALE = Path(__file__).parents[2] / "workflow/scales/complexity.yaml"
-SETTINGS = {"resamples": 50, "confidence": 0.9}
+SETTINGS = TableSettings([], [], 50, 0.9, "geo-evs")
+ENTRANTS = Entrants({})
 SIZES = {"default": (3000, 10.0), "2k": (2000, 4.0), "8k": (8000, 20.0)}
 
 
@@ -59,7 +62,7 @@ def test_regret_is_against_the_best_fixed_size_of_the_scene(rows, costs):
         {"method": "reproject", "value": 30.0},
     )
     front = {"variant": "8k", "primitives": 1, "fit_seconds": 1.0, "sources": "front-side"}
-    table = make_complexity_table(scores, costs(*entrants("s"), *entrants("t"), front))
+    table = make_complexity_table(scores, costs(*entrants("s"), *entrants("t"), front), ENTRANTS)
     table = table.set_index("scene")
     assert list(table.index) == ["s", "t", "mean"]
     assert table["best_variant"].tolist()[:2] == ["8k", "2k"]
@@ -78,7 +81,7 @@ def test_a_failed_fit_is_said_and_not_averaged(rows, costs):
     )
     failed, *others = entrants("t", {"default": (0, math.nan), "2k": (2000, 4.0)})
     table = make_complexity_table(
-        scores, costs(*entrants("s"), {**failed, "status": "failed"}, *others)
+        scores, costs(*entrants("s"), {**failed, "status": "failed"}, *others), ENTRANTS
     ).set_index("scene")
     assert table.loc["t", "note"] == "no chosen size here"
     assert math.isnan(table.loc["t", "regret_db"])
@@ -87,14 +90,14 @@ def test_a_failed_fit_is_said_and_not_averaged(rows, costs):
 
 
 def test_without_fixed_sizes_a_row_says_so(rows, costs):
-    table = make_complexity_table(rows(*scored(default=(20.0,))), costs(entrants()[0]))
+    table = make_complexity_table(rows(*scored(default=(20.0,))), costs(entrants()[0]), ENTRANTS)
     assert table["note"].tolist() == ["no fixed size was run"]
     assert "| no fixed size was run |" in complexity_markdown(table)
 
 
 def test_markdown_shows_sizes_and_signs(rows, costs):
     scores = rows(*scored(default=(20.0,), _2k=(19.0,), _8k=(20.5,)))
-    text = complexity_markdown(make_complexity_table(scores, costs(*entrants())))
+    text = complexity_markdown(make_complexity_table(scores, costs(*entrants()), ENTRANTS))
     line = "| 3DGS | s | 3,000 | 20.00 | 10.0 | 8,000 | 20.50 | 20.0 | +0.50 | -10.0 |  |"
     assert line in text
 
@@ -119,14 +122,14 @@ def three_scenes(rows, costs):
 
 
 def test_scenes_are_sorted_by_the_size_chosen_there(three_scenes):
-    table = make_complexity_table(*three_scenes)
+    table = make_complexity_table(*three_scenes, ENTRANTS)
     assert table["scene"].tolist() == ["u", "s", "t", "mean"]
-    curves = size_curves(*three_scenes, SETTINGS)
+    curves = size_curves(*three_scenes, SETTINGS, ENTRANTS)
     assert list(dict.fromkeys(curves["scene"])) == ["u", "s", "t"]
 
 
 def test_a_curve_has_every_size_of_a_scene_with_its_interval(three_scenes):
-    curves = size_curves(*three_scenes, SETTINGS)
+    curves = size_curves(*three_scenes, SETTINGS, ENTRANTS)
     assert set(curves["metric"]) == {"sparse_psnr", "psnr"}
     mine = curves[(curves["scene"] == "s") & (curves["metric"] == "psnr")]
     assert mine["variant"].tolist() == ["2k", "8k", "default"]
@@ -138,7 +141,7 @@ def test_a_curve_has_every_size_of_a_scene_with_its_interval(three_scenes):
 
 
 def test_the_chart_has_a_panel_a_scene_and_needs_no_network(three_scenes):
-    page = size_chart(size_curves(*three_scenes, SETTINGS))
+    page = size_chart(size_curves(*three_scenes, SETTINGS, ENTRANTS))
     (row,) = page.to_dict()["vconcat"]
     titles = [panel["title"] for panel in row["concat"]]
     assert titles == ["u: 3,000 chosen", "s: 9,000 chosen", "t: no chosen size"]
@@ -147,7 +150,7 @@ def test_the_chart_has_a_panel_a_scene_and_needs_no_network(three_scenes):
 
 
 def test_without_fixed_sizes_the_chart_says_how_to_run_them(rows, costs):
-    table = size_curves(rows(*scored(default=(20.0,))), costs(entrants()[0]), SETTINGS)
+    table = size_curves(rows(*scored(default=(20.0,))), costs(entrants()[0]), SETTINGS, ENTRANTS)
     assert table.empty
     assert "chosen" in table
     page = size_chart(table)

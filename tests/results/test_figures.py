@@ -26,7 +26,7 @@ from geoevs.results.figures import (
     table_grid,
     validity_picture,
 )
-from geoevs.results.tables import TABLES
+from geoevs.results.table_specs import TABLES
 
 KEEPS = [1.0, 0.5, 0.2]
 TILE_HEIGHT = round(TILE_WIDTH * 48 / 72)

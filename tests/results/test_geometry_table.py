@@ -7,10 +7,11 @@ import pytest
 
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.results.geometry_table import geometry_latex, geometry_markdown, make_geometry_table
+from geoevs.results.settings import TableSettings
 
 # With two frames a scene, redrawn sums have the chances 1/4, 1/2 and 1/4: tails of 0.025 are the
 # frames themselves.
-SETTINGS = {"resamples": 1000, "confidence": 0.95}
+SETTINGS = TableSettings([], [], 1000, 0.95, "geo-evs")
 
 
 def rows(*changes):

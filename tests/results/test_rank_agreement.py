@@ -5,11 +5,12 @@ import math
 import pytest
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.results.paper import paper_values
 from geoevs.results.rank_agreement import make_rank_agreement, rank_agreement_markdown
-from geoevs.results.tables import paper_values
+from geoevs.results.settings import TableSettings
 
 TAU = ("tau", "tau_low", "tau_high")
-SETTINGS = {"resamples": 200, "confidence": 0.95}
+SETTINGS = TableSettings([], [], 200, 0.95, "geo-evs")
 # Of the paper's table 2 by sparse PSNR, from worst to best.
 PAPER = sorted(
     paper_values("extrapolation"),

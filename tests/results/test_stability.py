@@ -7,11 +7,17 @@ import pytest
 
 from geoevs.protocol.stressors import STRESSORS, Stressor
 from geoevs.results.chart_pages import page_html
+from geoevs.results.entrants import Entrants, Info
+from geoevs.results.settings import TableSettings
 from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
 from geoevs.results.stability_chart import curves, stability_curves
 from geoevs.results.stability_page import stability_markdown
 
-SETTINGS = {"resamples": 200, "confidence": 0.9}
+CONTROL_NAMES = ("mean-colour", "nearest-view", "reproject-inpaint", "reproject-inpaint.all-frames")
+GIVEN = (
+    TableSettings([], [], 200, 0.9, "geo-evs"),
+    Entrants({name: Info(name.partition(".")[0], "control") for name in CONTROL_NAMES}),
+)
 LEVELS = [0.1, 0.05, 0.01]
 
 
@@ -33,7 +39,7 @@ def curve(method, clean, values, stressor="support", levels=LEVELS, wobble=0.0, 
 
 def page_of(scores):
     """The suite's page in words."""
-    made = (make(scores, SETTINGS) for make in (make_stability_table, breaking_points, seed_spread))
+    made = (make(scores, *GIVEN) for make in (make_stability_table, breaking_points, seed_spread))
     return stability_markdown(*made)
 
 
@@ -51,7 +57,7 @@ CONTROLS = [
 
 
 def test_a_curve_starts_clean_and_says_what_is_lost(rows):
-    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25.0, [20, 15, 5])), SETTINGS)
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25.0, [20, 15, 5])), *GIVEN)
     mine = table[table["method"] == "mine"]
     assert mine["level"].tolist()[1:] == LEVELS  # hardest last
     assert math.isnan(mine["level"].iloc[0])
@@ -71,7 +77,7 @@ def test_every_world_has_a_floor_of_its_own(rows):
         *curve("mine", 25.0, [20, 12, 9]),
         *curve("mine", None, [15.0, 17.0], **worlds),
     )
-    table = make_stability_table(made, SETTINGS)
+    table = make_stability_table(made, *GIVEN)
     rates = table[table["method"] == "mine"].groupby("stressor")["failure_rate"].agg(list)
     assert rates["support"] == [0, 0, 0, 1]  # below 10 dB
     assert rates["motion"] == [0, 1]  # below 14, below 18
@@ -86,13 +92,13 @@ def test_worlds_of_two_stressors_at_one_level_are_two(rows, monkeypatch):
         *curve("mine", None, [17.0], stressor="motion", levels=[20]),
         *curve("mine", None, [9.0], stressor="grain", levels=[20]),
     )
-    table = make_stability_table(made, SETTINGS)
+    table = make_stability_table(made, *GIVEN)
     rates = table[table["method"] == "mine"].set_index("stressor")["failure_rate"]
     assert rates.to_dict() == {"motion": 1, "grain": 0}
 
 
 def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):
-    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, LEVELS, wobble=1)), SETTINGS)
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, LEVELS, wobble=1)), *GIVEN)
     row = one(table[table["level"].isna()], method="mine")
     assert (row["low"], row["mean"], row["high"]) == (24, 25, 26)
     assert row["worst_decile"] == 24
@@ -100,7 +106,7 @@ def test_draws_widen_the_interval_and_the_worst_tenth_is_below_the_mean(rows):
 
 def test_a_change_is_of_the_same_draws(rows):
     # Draws lie 2 dB apart, but each loses the same at every level.
-    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, [20] * 3, wobble=1)), SETTINGS)
+    table = make_stability_table(rows(*CONTROLS, *curve("mine", 25, [20] * 3, wobble=1)), *GIVEN)
     row = one(table, method="mine", level=0.01)
     assert (row["low"], row["high"]) == (19, 21)
     assert row["change"] == -5
@@ -109,7 +115,11 @@ def test_a_change_is_of_the_same_draws(rows):
         row | ({"value": row["value"] - 1} if row["seed"] and row["level"] == 0.01 else {})
         for row in curve("mine", 25, [20] * 3)
     ]
-    row = one(make_stability_table(rows(*CONTROLS, *uneven), SETTINGS), method="mine", level=0.01)
+    row = one(
+        make_stability_table(rows(*CONTROLS, *uneven), *GIVEN),
+        method="mine",
+        level=0.01,
+    )
     assert (row["change_low"], row["change"], row["change_high"]) == (-6, -5.5, -5)
 
 
@@ -128,9 +138,9 @@ def test_the_page_says_what_the_hardest_level_leaves(rows):
 
 def test_undelivered_views_are_failures(rows):
     missing = [row | {"value": math.nan, "status": "failed"} for row in curve("mine", 25, [1] * 3)]
-    table = make_stability_table(rows(*CONTROLS, *missing), SETTINGS)
+    table = make_stability_table(rows(*CONTROLS, *missing), *GIVEN)
     assert (table[table["method"] == "mine"]["failure_rate"] == 1).all()
-    broken = breaking_points(rows(*CONTROLS, *missing), SETTINGS)
+    broken = breaking_points(rows(*CONTROLS, *missing), *GIVEN)
     assert one(broken, method="mine")["level"] == "clean"
 
 
@@ -144,7 +154,7 @@ def test_undelivered_views_are_failures(rows):
     ],
 )
 def test_the_breaking_point_is_the_first_level_below_the_best_control(rows, clean, values, level):
-    broken = breaking_points(rows(*CONTROLS, *curve("mine", clean, values)), SETTINGS)
+    broken = breaking_points(rows(*CONTROLS, *curve("mine", clean, values)), *GIVEN)
     row = one(broken, method="mine")
     assert (row["level"], row["low"], row["high"]) == (level, level, level)
     assert row["lead"] == pytest.approx(clean - 24)
@@ -155,7 +165,7 @@ def test_the_breaking_point_is_the_first_level_below_the_best_control(rows, clea
 def test_a_control_without_a_value_leaves_the_others_to_judge(rows):
     gone = curve("nearest-view", 30.0, [math.nan] * 3)  # no car in view of it, say
     mine = curve("mine", 31.0, [21, 15, 11])
-    broken = breaking_points(rows(*CONTROLS, *gone, *mine), SETTINGS)
+    broken = breaking_points(rows(*CONTROLS, *gone, *mine), *GIVEN)
     row = one(broken, method="mine")
     # Above 30, 20, then below the 16 of reproject-inpaint.
     assert (row["level"], row["low"], row["high"]) == ("0.05", "0.05", "0.05")
@@ -176,7 +186,7 @@ def test_levels_that_no_control_has_a_value_at_judge_nobody(rows, values, level,
         *curve("mean-colour", 10.0, [10.0, math.nan, 10.0]),
         *curve("reproject-inpaint", 24.0, [20.0, math.nan, 9.0]),
     ]
-    broken = breaking_points(rows(*controls, *curve("mine", 25.0, values)), SETTINGS)
+    broken = breaking_points(rows(*controls, *curve("mine", 25.0, values)), *GIVEN)
     row = one(broken, method="mine")
     assert (row["level"], row["low"], row["high"]) == (level, level, level)
     assert row["control"] == control
@@ -185,7 +195,7 @@ def test_levels_that_no_control_has_a_value_at_judge_nobody(rows, values, level,
 def test_a_control_is_named_with_its_variant(rows):
     better = curve("reproject-inpaint", 26.0, [22.0] * 3, variant="all-frames")
     made = rows(*CONTROLS, *better, *curve("mine", 27, [25, 21, 8]))
-    row = one(breaking_points(made, SETTINGS), method="mine")
+    row = one(breaking_points(made, *GIVEN), method="mine")
     assert (row["level"], row["control"]) == ("0.05", "reproject-inpaint (all-frames)")
 
 
@@ -195,7 +205,7 @@ def test_where_the_hardest_level_is_undefined_the_last_that_is_names_the_control
         *curve("reproject-inpaint", 24.0, [20.0, 16.0, math.nan]),
     ]
     mine = curve("mine", 25.0, [21, 17, math.nan])
-    row = one(breaking_points(rows(*controls, *mine), SETTINGS), method="mine")
+    row = one(breaking_points(rows(*controls, *mine), *GIVEN), method="mine")
     assert (row["level"], row["high"]) == ("none", "none")
     assert row["control"] == "reproject-inpaint"
 
@@ -207,7 +217,7 @@ def test_a_metric_that_nobody_has_breaks_nobody(rows):
         for row in curve(method, None, [math.nan] * 3, "motion", [0, 5, 10], metric="psnr_moving")
     ]
     made = rows(*CONTROLS, *curve("mine", 25, [21, 17, 11]), *nobody)
-    broken = breaking_points(made, SETTINGS)
+    broken = breaking_points(made, *GIVEN)
     row = one(broken, method="mine", metric="psnr_moving")
     assert (row["level"], row["low"], row["high"], row["control"]) == ("", "", "", "")
     page = page_of(made)
@@ -220,13 +230,13 @@ def test_resamples_without_a_value_break_nobody(rows):
         row | ({"value": math.nan} if row["frame"] == 0 else {})
         for row in [*CONTROLS, *curve("mine", 25.0, [21, 17, 11])]
     ]  # a quarter of the resamples draw frame 0 twice
-    row = one(breaking_points(rows(*seen), SETTINGS), method="mine")
+    row = one(breaking_points(rows(*seen), *GIVEN), method="mine")
     assert (row["level"], row["low"], row["high"]) == ("none", "none", "none")
 
 
 def test_its_interval_holds_what_draws_leave_open(rows):
     mine = curve("mine", 30, [20.5, 16.5, 11], wobble=1.0)
-    row = one(breaking_points(rows(*CONTROLS, *mine), SETTINGS), method="mine")
+    row = one(breaking_points(rows(*CONTROLS, *mine), *GIVEN), method="mine")
     assert row["level"] == "none"
     assert (row["low"], row["high"]) == ("0.1", "none")
 
@@ -236,7 +246,7 @@ def test_poses_start_from_their_own_mildest_level(rows):
     made = rows(
         *curve("mean-colour", 10, [10] * 3, **poses), *curve("mine", 40, [20, 18, 8], **poses)
     )
-    table = make_stability_table(made, SETTINGS)
+    table = make_stability_table(made, *GIVEN)
     mine = table[table["method"] == "mine"]
     assert mine["level"].tolist() == [0, 2, 4]
     assert mine["relative_degradation"].iloc[1] == pytest.approx(0.1)
@@ -248,13 +258,13 @@ def test_spread_is_in_8_bit_levels(rows):
         {"method": "mine", "stressor": "clean", "metric": f"seed_spread_{part}", "value": value}
         for part, value in (("supported", 0.01), ("new", 0.1))
     ]
-    spread = seed_spread(rows(*spreads), SETTINGS)
+    spread = seed_spread(rows(*spreads), *GIVEN)
     assert spread["mean"].to_list() == pytest.approx([2.55, 25.5])
     assert "| mine | 2.55 | 25.50 |" in page_of(rows(*CONTROLS, *spreads))
 
 
 def test_the_chart_goes_from_clean_to_hardest(rows):
-    table = make_stability_table(rows(*CONTROLS), SETTINGS)
+    table = make_stability_table(rows(*CONTROLS), *GIVEN)
     shown = curves(table, "support")
     assert list(dict.fromkeys(shown["severity"])) == ["clean", "0.1", "0.05", "0.01"]
     page = page_html(stability_curves(shown, "support").to_dict())

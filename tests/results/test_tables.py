@@ -3,17 +3,30 @@ import math
 import pytest
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.results.tables import bin_labels, display_name, is_control, make_table
+from geoevs.results.entrants import Entrants, Info
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import bin_labels
+from geoevs.results.tables import make_table
 
-BINS = {"pose_bins": [0, 5, 10], "support_bins": [0, 0.02, 0.1]}
-SETTINGS = {**BINS, "resamples": 100, "confidence": 0.95}
+SETTINGS = TableSettings(
+    [0, 5, 10], [0, 0.02, 0.1], resamples=100, confidence=0.95, ablation="geo-evs"
+)
+ENTRANTS = Entrants(
+    {
+        "reproject": Info("Reprojection", "control", "none", "lidar"),
+        "reference": Info("Reference", "control"),
+        "mean-colour": Info("Mean colour", "control"),
+        "geo-evs": Info("Ours", "diffusion", "a latent prior", "lidar training"),
+        "zeta.wide": Info("Zeta", "control"),
+    }
+)
 PAPER = ["three-dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]
 
 
 @pytest.fixture
 def table(rows):
     def make(name, *changes):
-        return make_table(name, rows(*changes), SETTINGS)
+        return make_table(name, rows(*changes), SETTINGS, ENTRANTS)
 
     return make
 
@@ -32,8 +45,23 @@ def test_the_paper_comes_first_then_methods_then_controls(table):
     )
     assert made["method"].tolist() == [*PAPER, "zeta", "alpha", "reproject", "reference"]
     assert made["group"].tolist() == ["paper"] * 5 + ["method"] * 2 + ["control"] * 2
-    assert is_control("reference")
-    assert not is_control("zeta")
+
+
+def test_who_plays_is_said_in_the_last_columns(table):
+    made = table("observed", {"method": "geo-evs"}, {"method": "zeta"}, {"method": "reproject"})
+    assert list(made)[-4:] == ["name", "paradigm", "extra_prior", "needs"]
+    shown = {row["method"]: tuple(row.values())[-4:] for row in made.to_dict("records")}
+    # The paper's name, but what was run here; of what was not run, what the paper says.
+    assert shown["geo-evs"] == ("Geo-EVS", "diffusion", "a latent prior", "lidar training")
+    assert shown["bevgen"] == ("BEVGen", "autoregression", "none", "")
+    assert shown["reproject"] == ("Reprojection", "control", "none", "lidar")
+    assert shown["zeta"] == ("zeta", "", "", "")
+
+
+def test_a_variant_alone_may_be_a_control(table):
+    made = table("masked", {"method": "zeta"}, {"method": "zeta", "variant": "wide"})
+    groups = made.drop_duplicates("variant").set_index("variant")["group"]
+    assert groups.to_dict() == {"default": "method", "wide": "control"}
 
 
 def test_paper_and_measured_stand_side_by_side(table):
@@ -107,7 +135,7 @@ def test_bins_are_half_open_but_the_last(table):
         ],
     )
     mine = made[made["method"] == "mine"]
-    assert mine["bin"].tolist() == bin_labels(BINS["pose_bins"]) == ["0-5", "5-10"]
+    assert mine["bin"].tolist() == bin_labels(SETTINGS.pose_bins) == ["0-5", "5-10"]
     assert mine["sparse_psnr"].tolist() == pytest.approx([(0 + 4.9) / 2, (5 + 10) / 2])
     assert mine["n"].tolist() == [2, 2]
     paper = made[made["method"] == "geo-evs"]
@@ -189,9 +217,3 @@ def test_different_protocols_are_refused(table):
 def test_unknown_tables_are_named(table):
     with pytest.raises(GeoEvsError, match=r"^there is no table 'sparse'; did you mean 'sparsity'"):
         table("sparse", {})
-
-
-def test_names_are_the_papers():
-    assert display_name("three-dgs", "default") == "3DGS"
-    assert display_name("geo-evs", "v2") == "Geo-EVS (v2)"
-    assert display_name("mine", "default") == "mine"

@@ -25,6 +25,7 @@ from geoevs.results.complexity import (
 )
 from geoevs.results.complexity_chart import write_size_chart
 from geoevs.results.costs import cost_markdown, make_cost_table, write_cost_table
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.formats import to_latex, to_markdown, write_table
 from geoevs.results.geometry_table import (
     geometry_latex,
@@ -37,18 +38,16 @@ from geoevs.results.rank_agreement import (
     rank_agreement_markdown,
     write_rank_agreement,
 )
+from geoevs.results.settings import TableSettings
 from geoevs.results.stability import breaking_points, make_stability_table, seed_spread
 from geoevs.results.stability_chart import curves, write_stability_chart
 from geoevs.results.stability_page import stability_markdown, write_stability
-from geoevs.results.tables import make_table, table_spec
+from geoevs.results.table_specs import table_spec
+from geoevs.results.tables import make_table
 
-SETTINGS = {
-    "resamples": 100,
-    "confidence": 0.9,
-    "pose_bins": [0, 10],
-    "support_bins": [0, 0.1],
-}
-ENTRANTS = ("mean-colour", "three-dgs", "geo-evs")
+SETTINGS = TableSettings([0, 10], [0, 0.1], resamples=100, confidence=0.9, ablation="geo-evs")
+METHODS = ("mean-colour", "three-dgs", "geo-evs")
+ENTRANTS = Entrants({name: Info(name.title(), "a paradigm", "none") for name in METHODS})
 
 
 @pytest.fixture
@@ -56,7 +55,7 @@ def scores(rows):
     return rows(
         *[
             {"method": method, "frame": frame, "value": 10.0 + number + frame}
-            for number, method in enumerate(ENTRANTS)
+            for number, method in enumerate(METHODS)
             for frame in range(2)
         ]
     )
@@ -67,7 +66,7 @@ def costs():
     blank = {"string": "", "int64": 1, "float64": 0.5}
     usual = {name: blank[kind] for name, kind in COST_TYPES.items()}
     fit = {"dataset": "d", "scene": "s", "variant": "default", "sources": ALL_CAMERAS}
-    return cost_frame([{**usual, **fit, "method": m, "status": "ok"} for m in ENTRANTS])
+    return cost_frame([{**usual, **fit, "method": m, "status": "ok"} for m in METHODS])
 
 
 def files(stem: Path) -> dict[str, str]:
@@ -79,8 +78,11 @@ def files(stem: Path) -> dict[str, str]:
 
 
 def test_a_table_is_csv_markdown_and_latex(scores, tmp_path):
-    write_table(tmp_path / "a", "extrapolation", scores, SETTINGS)
-    table, spec = make_table("extrapolation", scores, SETTINGS), table_spec("extrapolation")
+    write_table(tmp_path / "a", "extrapolation", scores, SETTINGS, ENTRANTS)
+    table, spec = (
+        make_table("extrapolation", scores, SETTINGS, ENTRANTS),
+        table_spec("extrapolation"),
+    )
     assert files(tmp_path / "a") == {
         ".csv": table.to_csv(index=False),
         ".md": to_markdown(spec, table),
@@ -94,13 +96,13 @@ def test_distances_of_sets_reach_their_table(scores, tmp_path):
     row |= {"dataset": "d", "split": "observed", "method": "three-dgs", "variant": "default"}
     sets = set_frame([{**row, "metric": "fid", "status": "ok"}])
     observed = scores.assign(split="observed", metric="psnr")
-    write_table(tmp_path / "a", "observed", observed, SETTINGS, sets)
+    write_table(tmp_path / "a", "observed", observed, SETTINGS, ENTRANTS, sets)
     assert "7.25" in (tmp_path / "a.csv").read_text()
 
 
 def test_the_ablation_is_csv_markdown_and_latex(scores, tmp_path):
-    write_ablation_table(tmp_path / "a", scores, SETTINGS)
-    table = make_ablation_table(scores, SETTINGS)
+    write_ablation_table(tmp_path / "a", scores, SETTINGS, ENTRANTS)
+    table = make_ablation_table(scores, SETTINGS, ENTRANTS)
     assert files(tmp_path / "a") == {
         ".csv": table.to_csv(index=False),
         ".md": ablation_markdown(table),
@@ -109,8 +111,8 @@ def test_the_ablation_is_csv_markdown_and_latex(scores, tmp_path):
 
 
 def test_costs_are_csv_and_markdown(costs, tmp_path):
-    write_cost_table(tmp_path / "a", costs)
-    table = make_cost_table(costs)
+    write_cost_table(tmp_path / "a", costs, ENTRANTS)
+    table = make_cost_table(costs, ENTRANTS)
     assert files(tmp_path / "a") == {
         ".csv": table.to_csv(index=False),
         ".md": cost_markdown(table),
@@ -132,15 +134,15 @@ def test_geometry_is_csv_markdown_and_latex(tmp_path):
 
 
 def test_complexity_is_csv_and_markdown_and_a_chart(scores, costs, tmp_path):
-    write_complexity_table(tmp_path / "a", scores, costs)
-    table = make_complexity_table(scores, costs)
+    write_complexity_table(tmp_path / "a", scores, costs, ENTRANTS)
+    table = make_complexity_table(scores, costs, ENTRANTS)
     assert files(tmp_path / "a") == {
         ".csv": table.to_csv(index=False),
         ".md": complexity_markdown(table),
     }
-    write_size_chart(tmp_path / "b", scores, costs, SETTINGS)
+    write_size_chart(tmp_path / "b", scores, costs, SETTINGS, ENTRANTS)
     assert files(tmp_path / "b") == {
-        ".csv": size_curves(scores, costs, SETTINGS).to_csv(index=False),
+        ".csv": size_curves(scores, costs, SETTINGS, ENTRANTS).to_csv(index=False),
         ".png": "",
         ".html": "",
     }
@@ -156,8 +158,8 @@ def test_rank_agreement_is_csv_and_markdown(scores, tmp_path):
 
 
 def test_a_chart_is_csv_a_picture_and_a_page(scores, costs, tmp_path):
-    write_chart(tmp_path / "a", "extrapolation", scores, costs, SETTINGS)
-    table = speed_accuracy("extrapolation", scores, costs, SETTINGS)
+    write_chart(tmp_path / "a", "extrapolation", scores, costs, SETTINGS, ENTRANTS)
+    table = speed_accuracy("extrapolation", scores, costs, SETTINGS, ENTRANTS)
     assert files(tmp_path / "a") == {
         ".csv": table.to_csv(index=False),
         ".png": "",
@@ -175,11 +177,11 @@ def test_the_stability_suite_is_three_tables_a_page_and_curves(scores, tmp_path)
             clean.assign(metric="seed_spread_new"),
         ]
     )
-    write_stability(tmp_path, made, SETTINGS)
+    write_stability(tmp_path, made, SETTINGS, ENTRANTS)
     tables = {
-        "stability": make_stability_table(made, SETTINGS),
-        "breaking_points": breaking_points(made, SETTINGS),
-        "seed_spread": seed_spread(made, SETTINGS),
+        "stability": make_stability_table(made, SETTINGS, ENTRANTS),
+        "breaking_points": breaking_points(made, SETTINGS, ENTRANTS),
+        "seed_spread": seed_spread(made, SETTINGS, ENTRANTS),
     }
     assert {path.name for path in tmp_path.iterdir()} == {
         *(f"{name}.csv" for name in tables),

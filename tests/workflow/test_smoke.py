@@ -15,7 +15,7 @@ from geoevs.conditions.pairs import read_pairs
 from geoevs.core.files import read_image, read_json
 from geoevs.geometry.vggt import load_vggt
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
-from geoevs.results.tables import TABLES
+from geoevs.results.table_specs import TABLES
 
 CONTROLS = ["reference", "mean-colour", "nearest-view", "reproject", "reproject-inpaint"]
 BASELINES = ["three-dgs", "street-gaussians", "emernerf", "freevs"]
@@ -24,6 +24,7 @@ OF_THE_PAPER = ["geo-evs", *BASELINES]  # of its methods, those that this suite 
 STABLE = (
     *("scores.parquet", "tables", "figures", "renders", "scenes", "truth", "references"),
     *("masks", "depths", "geometry", "point-maps", "prepared", "trained"),
+    "entrants.json",
 )
 STRESSED = "street-stability"  # a data set that the killed run does not need
 UNSTABLE = {
@@ -123,7 +124,10 @@ def test_scores_order_the_controls(smoke_run):
     assert means["reference"] > 50
     assert means["reproject-inpaint"] > means["mean-colour"]
     assert means["reproject-inpaint"] > means["reproject"]
-    assert table.set_index("method").loc[CONTROLS, "group"].eq("control").all()
+    rows = table.set_index("method")
+    assert rows.loc[CONTROLS, "group"].eq("control").all()
+    assert rows.loc["reproject", ["name", "paradigm"]].tolist() == ["Reprojection", "control"]
+    assert rows.loc["street-gaussians", "needs"] == "sfm lidar tracks"
     # Six training steps already beat one colour; of the paper's other methods few have run.
     assert means["geo-evs-support"] > means["mean-colour"]
     assert (means[BASELINES] > means["mean-colour"]).all()
@@ -216,7 +220,7 @@ def test_the_report_shows_every_table_chart_and_failure(smoke_run):
     assert len(page) < 5e6
     for path in (*results.glob("tables/*.csv"), *results.glob("charts/*.csv")):
         assert f'aria-label="Table {path.stem}"' in page or f"charts/{path.stem}" in page
-    assert "external could not fit street/junction-201" in page
+    assert "External images could not fit street/junction-201" in page
     assert "Not measured: fid, as " in page
 
 

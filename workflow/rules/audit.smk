@@ -60,7 +60,8 @@ rule audit_rows:
 
 rule audit_page:
     input:
-        in_run(layout.AUDIT_ROWS),
+        rows=in_run(layout.AUDIT_ROWS),
+        entrants=in_run(layout.ENTRANTS),
     output:
         AUDIT_FILES,
     log:
@@ -70,8 +71,8 @@ rule audit_page:
         folder=lambda wildcards, output: Path(output[0]).parent,
         code=code_hash("geoevs.results.audit_page"),
     shell:
-        "geoevs --log {log:q} audit-page --rows {input:q} --settings {params.settings:q}"
-        " --out {params.folder:q}"
+        "geoevs --log {log:q} audit-page --rows {input.rows:q} --settings {params.settings:q}"
+        " --entrants {input.entrants:q} --out {params.folder:q}"
 
 
 rule audit:

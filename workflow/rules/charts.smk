@@ -11,6 +11,7 @@ rule chart:
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
         sets=in_run(layout.SET_SCORES),
+        entrants=in_run(layout.ENTRANTS),
     output:
         CHART_FILES,
     log:
@@ -22,13 +23,14 @@ rule chart:
     shell:
         "geoevs --log {log:q} chart {wildcards.table} --scores {input.scores:q}"
         " --costs {input.costs:q} --sets {input.sets:q} --settings {params.settings:q}"
-        " --out {params.stem:q}"
+        " --entrants {input.entrants:q} --out {params.stem:q}"
 
 
 rule complexity_chart:
     input:
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
+        entrants=in_run(layout.ENTRANTS),
     output:
         SIZE_FILES,
     log:
@@ -39,7 +41,7 @@ rule complexity_chart:
         code=code_hash("geoevs.results.complexity_chart"),
     shell:
         "geoevs --log {log:q} complexity-chart --scores {input.scores:q} --costs {input.costs:q}"
-        " --settings {params.settings:q} --out {params.stem:q}"
+        " --settings {params.settings:q} --entrants {input.entrants:q} --out {params.stem:q}"
 
 
 rule charts:

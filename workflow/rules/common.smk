@@ -15,7 +15,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
-from geoevs.protocol.entries import ORACLES
+from geoevs.methods.contract import ORACLES
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
@@ -26,7 +26,7 @@ from geoevs.protocol.stability import (
 )
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.manifest import cached_repository, hash_path
-from geoevs.results.tables import TABLES
+from geoevs.results.table_specs import TABLES
 from geoevs.scenes.scene import find_sources
 from snakemake.exceptions import WorkflowError
 
@@ -195,6 +195,18 @@ def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
     return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+
+
+def entrant_options(wildcards):
+    """Every entrant's options by its name in the config, as JSON; seeds share them."""
+    return json.dumps({entry.name: entry.options for entry in ENTRIES.values()})
+
+
+def entrant_code(wildcards):
+    """Hash of all methods that play."""
+    methods = {entry.method for entry in ENTRIES.values()} - set(ORACLES)
+    modules = [find_methods()[method] for method in sorted(methods)]
+    return code_hash("geoevs.protocol.entrants", *modules)
 
 
 def fit_arguments(wildcards):

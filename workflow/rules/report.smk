@@ -13,6 +13,7 @@ rule report:
         costs=in_run(layout.COSTS),
         suites=suite_results,
         sets=in_run(layout.SET_SCORES),
+        entrants=in_run(layout.ENTRANTS),
         manifest=in_run(layout.MANIFEST),
     output:
         in_run(layout.REPORT),

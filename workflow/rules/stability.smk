@@ -110,7 +110,8 @@ rule stability_scores:
 
 rule stability_tables:
     input:
-        in_run(layout.STABILITY_SCORES),
+        scores=in_run(layout.STABILITY_SCORES),
+        entrants=in_run(layout.ENTRANTS),
     output:
         STABILITY_FILES,
     log:
@@ -120,8 +121,8 @@ rule stability_tables:
         folder=lambda wildcards, output: Path(output[0]).parent,
         code=code_hash("geoevs.results.stability_page"),
     shell:
-        "geoevs --log {log:q} stability-table --scores {input:q} --settings {params.settings:q}"
-        " --out {params.folder:q}"
+        "geoevs --log {log:q} stability-table --scores {input.scores:q}"
+        " --settings {params.settings:q} --entrants {input.entrants:q} --out {params.folder:q}"
 
 
 rule stability_chart:

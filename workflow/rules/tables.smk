@@ -15,10 +15,24 @@ RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
+# Who plays, once for all tables: they import no method.
+rule entrants:
+    output:
+        in_run(layout.ENTRANTS),
+    log:
+        in_run("logs/entrants.log"),
+    params:
+        options=entrant_options,
+        code=entrant_code,
+    shell:
+        "geoevs --log {log:q} entrants --options {params.options:q} --out {output:q}"
+
+
 rule table:
     input:
         scores=in_run(layout.SCORES),
         sets=in_run(layout.SET_SCORES),
+        entrants=in_run(layout.ENTRANTS),
     output:
         TABLE_FILES,
     log:
@@ -29,12 +43,14 @@ rule table:
         code=code_hash("geoevs.results.formats"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"
-        " --sets {input.sets:q} --settings {params.settings:q} --out {params.stem:q}"
+        " --sets {input.sets:q} --settings {params.settings:q} --entrants {input.entrants:q}"
+        " --out {params.stem:q}"
 
 
 rule cost_table:
     input:
-        in_run(layout.COSTS),
+        costs=in_run(layout.COSTS),
+        entrants=in_run(layout.ENTRANTS),
     output:
         COST_FILES,
     log:
@@ -43,12 +59,14 @@ rule cost_table:
         stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
         code=code_hash("geoevs.results.costs"),
     shell:
-        "geoevs --log {log:q} cost-table --costs {input:q} --out {params.stem:q}"
+        "geoevs --log {log:q} cost-table --costs {input.costs:q} --entrants {input.entrants:q}"
+        " --out {params.stem:q}"
 
 
 rule ablation_table:
     input:
         scores=in_run(layout.SCORES),
+        entrants=in_run(layout.ENTRANTS),
     output:
         ABLATION_FILES,
     log:
@@ -59,7 +77,7 @@ rule ablation_table:
         code=code_hash("geoevs.results.ablation"),
     shell:
         "geoevs --log {log:q} ablation-table --scores {input.scores:q}"
-        " --settings {params.settings:q} --out {params.stem:q}"
+        " --settings {params.settings:q} --entrants {input.entrants:q} --out {params.stem:q}"
 
 
 rule geometry_table:
@@ -82,6 +100,7 @@ rule complexity_table:
     input:
         scores=in_run(layout.SCORES),
         costs=in_run(layout.COSTS),
+        entrants=in_run(layout.ENTRANTS),
     output:
         COMPLEXITY_FILES,
     log:
@@ -91,7 +110,7 @@ rule complexity_table:
         code=code_hash("geoevs.results.complexity"),
     shell:
         "geoevs --log {log:q} complexity-table --scores {input.scores:q} --costs {input.costs:q}"
-        " --out {params.stem:q}"
+        " --entrants {input.entrants:q} --out {params.stem:q}"
 
 
 rule rank_agreement:

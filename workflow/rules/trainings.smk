@@ -8,7 +8,7 @@ rule prepare:
         scene=in_run(layout.SCENE),
         point_maps=if_read(
             "point-maps",
-            lambda wildcards: in_run(layout.POINT_MAPS).format(**wildcards),
+            lambda wildcards: [in_run(layout.POINT_MAPS).format(**wildcards)],
         ),
     output:
         in_run(layout.PREPARED),

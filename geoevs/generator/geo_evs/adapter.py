@@ -8,20 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
 from geoevs.core.settings import Count
+from geoevs.diffusion.sampled_method import SampledMethod
 from geoevs.diffusion.sampling import Guidance, Sampler, Sampling, Steps
 from geoevs.geometry.depth_models import make_depth_model
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
-from geoevs.methods.trained import (
-    GEOMETRY_FILE,
-    asked_options,
-    link_trained,
-    read_trained,
-    trained_seconds,
-)
+from geoevs.methods.trained import GEOMETRY_FILE, trained_seconds
 from geoevs.projection import Raster
 from geoevs.scenes.camera import Camera
 
@@ -30,15 +24,12 @@ if TYPE_CHECKING:
 
 # torch is imported where networks are made: configs are checked without one.
 
-SAMPLING_OPTIONS = ("steps", "guidance", "sampler", "average")
-
 
 @dataclass
-class Method:
+class Method(SampledMethod):
     """The paper's method, faithfully: every pixel is generated.
 
     Args:
-        weights: what `geoevs train geo-evs` wrote.
         steps, guidance, sampler, average: see `Sampling`; None takes what it was trained for.
     """
 
@@ -50,15 +41,12 @@ class Method:
         citation="Lan, Tang, He: Geo-EVS",
     )
     lifting: ClassVar[type[LiftedViews]] = LiftedViews
-    weights: str
+    sampling: ClassVar[type] = Sampling
     steps: Steps | None = None
     guidance: Guidance | None = None
     sampler: Sampler | None = None
     average: Count | None = None
     _lifted: LiftedViews = field(init=False)
-    _generator: "Generator" = field(init=False)
-    _sampling: Sampling = field(init=False)
-    _seed: int = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Estimate the depth of every source view; the networks were trained before."""
@@ -66,10 +54,8 @@ class Method:
         geometry = folder / GEOMETRY_FILE
         model = make_depth_model(settings["geometry"], geometry if geometry.exists() else None)
         self._lifted = self.lifting.make(views, model)
-        self._seed = int(rng.numpy.integers(2**31))
-        networks = self._generator.autoencoder, self._generator.denoiser
-        parameters = model.parameters
-        parameters += sum(p.numel() for network in networks for p in network.parameters())
+        self._draw_seed(rng)
+        parameters = model.parameters + self._parameters()
         note, seconds = "primitives are source pixels with depth", trained_seconds(folder)
         return FitReport(self._lifted.pixels, parameters, note, seconds)
 
@@ -99,8 +85,7 @@ class Method:
                 stacklevel=2,
             )
         image = condition.image.astype(np.float32)
-        # The view's own noise, whatever was rendered before; the same for every variant.
-        random = Rng(self._seed, camera.name, str(frame)).torch
+        random = self._noise_of(camera, frame)  # the same for every variant
         (generated,) = self._generator.generate(
             image[None], condition.mask[None], self._sampling, random
         )
@@ -113,14 +98,14 @@ class Method:
         """What is shown of the generated image."""
         return generated
 
-    def _load_trained(self) -> dict[str, Any]:
-        """Read the networks, and how they sample; the settings of their training."""
+    def _read_generator(self, folder: Path) -> "Generator":
         from geoevs.generator.geo_evs.model import Generator
 
-        settings = read_trained(Path(self.weights))
-        asked = asked_options(self, SAMPLING_OPTIONS)
-        self._sampling = Sampling(**settings["sampling"] | asked)
-        self._generator = Generator.load(Path(self.weights))
+        return Generator.load(folder)
+
+    def _load_trained(self) -> dict[str, Any]:
+        """As for any such method; sampling must visit no timestep that was not trained."""
+        settings = super()._load_trained()
         if settings["timesteps"] == "sampled":
             self._check_timesteps(Sampling(**settings["sampling"]))
         return settings
@@ -143,17 +128,11 @@ class Method:
     def save(self, folder: Path) -> None:
         """Write the views and depths; link the weights, which many scenes share."""
         self._lifted.save(folder)
-        link_trained(Path(self.weights), folder / "weights")
-        options = {name: getattr(self, name) for name in SAMPLING_OPTIONS}
-        write_json(folder / "options.json", {**options, "seed": self._seed})
+        self._save_trained(folder)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Read what `save` wrote."""
-        options = read_json(folder / "options.json")
-        seed = options.pop("seed")
-        method = cls(str(folder / "weights"), **options)
-        method._load_trained()
+        method = cls._load_saved(folder)
         method._lifted = cls.lifting.load(folder)
-        method._seed = seed
         return method

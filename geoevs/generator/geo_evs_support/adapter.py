@@ -6,7 +6,6 @@ from typing import ClassVar
 import numpy as np
 
 from geoevs.generator.geo_evs.adapter import Method as GeoEvs
-from geoevs.generator.geo_evs_support.support import keep_support
 from geoevs.geometry.blending import BlendedViews
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.methods.contract import MethodInfo
@@ -25,4 +24,6 @@ class Method(GeoEvs):
         self, generated: np.ndarray, condition: np.ndarray, valid: np.ndarray
     ) -> np.ndarray:
         """Supported pixels stay, the others are generated, without seams."""
+        from geoevs.generator.geo_evs_support.support import keep_support
+
         return keep_support(generated, condition, valid)

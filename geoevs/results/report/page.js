@@ -17,7 +17,7 @@ const seen = new IntersectionObserver((entries) => {
 document.querySelectorAll(".chart").forEach((element) => seen.observe(element));
 
 // Pictures: four lists narrow down to one view, two more choose what is compared.
-const { images, views } = read("compare-data");
+const { images, views, featured } = read("compare-data");
 const form = document.getElementById("choice");
 const slider = document.getElementById("slider");
 const caption = document.getElementById("caption");
@@ -113,9 +113,9 @@ async function show() {
   if (!view) return;
   const names = Object.keys(view.pictures);
   const entrants = names.filter((name) => !EVIDENCE.includes(name));
-  const ours = entrants.includes("geo-evs") ? "geo-evs" : entrants.at(-1);
+  const right = entrants.includes(featured) ? featured : entrants.at(-1);
   fill(form.elements.left, names, names[0]);
-  fill(form.elements.right, names, ours);
+  fill(form.elements.right, names, right);
   const sides = [form.elements.left.value, form.elements.right.value];
   const pictures = await Promise.all(sides.map((name) => drawn(view, name)));
   if (mine !== request) return;

@@ -16,13 +16,15 @@ import vl_convert
 
 from geoevs import layout
 from geoevs.core.files import read_json, whole_file
-from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.entries import label_of
+from geoevs.results.entrants import ENTRANT, INFO, Entrants
 from geoevs.results.failures import Failure, run_failures
 from geoevs.results.report.markdown import markdown_html
 from geoevs.results.report.pictures import comparison, file_address
 from geoevs.results.report.sentences import summarise_gaps, summarise_run
 from geoevs.results.report.suites import summarise_suites
-from geoevs.results.tables import TABLES, display_name, is_control
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TABLES
 
 PAGE_BYTES = 24_500_000
 """About what a page may take: its pictures get what tables, charts and libraries leave."""
@@ -74,6 +76,8 @@ def make_page(run: Path, threads: int = 1) -> str:
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
     failures = run_failures(run)
+    settings = TableSettings.parse(manifest["config"]["tables"])
+    entrants = Entrants.read(run / layout.ENTRANTS)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("geoevs.results.report", "."),
         autoescape=True,
@@ -81,21 +85,22 @@ def make_page(run: Path, threads: int = 1) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["table"] = table_html
+    environment.filters["table"] = partial(table_html, entrants=entrants)
     page = partial(
         environment.get_template("page.html.jinja").render,
         run=run.name,
         manifest=manifest,
         manifest_text=json.dumps(manifest, indent=1),
         sentences=[
-            *summarise_run(scores, costs, manifest["config"]["tables"]),
+            *summarise_run(scores, costs, settings, entrants),
             *summarise_suites(run),
-            *summarise_gaps(failures, scores, sets),
+            *summarise_gaps(failures, scores, sets, entrants),
         ],
         tables=sorted(tables, key=lambda exhibit: _table_order(exhibit.name)),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: parts for folder, parts in exhibits.items() if parts},
-        failures=[_described(failure) for failure in failures],
+        failures=[_described(failure, entrants) for failure in failures],
+        featured=settings.ablation,
         charts=_script_json(
             {
                 f"{folder}/{exhibit.name}": exhibit.chart
@@ -109,7 +114,7 @@ def make_page(run: Path, threads: int = 1) -> str:
     )
     rest = len(page(compared=NOTHING_COMPARED, data="").encode())
     compared = compared_views(run, scores, PAGE_BYTES - rest, threads)
-    return page(compared=compared, data=_script_json(compared))
+    return page(compared=compared, data=_script_json(compared | {"featured": settings.ablation}))
 
 
 ASSETS = {
@@ -138,12 +143,12 @@ def compared_views(run: Path, scores: pd.DataFrame, budget: int, threads: int) -
     """What the comparison of pictures needs: see `comparison`; and each view's own scores."""
     scenes = list(scores[["dataset", "scene"]].drop_duplicates().itertuples(index=False, name=None))
     entries = scores[["method", "variant", "seed"]].drop_duplicates()
-    labels = [MethodEntry(m, v, {}, int(s)).label for m, v, s in entries.itertuples(index=False)]
+    labels = [label_of(*entry) for entry in entries.itertuples(index=False, name=None)]
     views = comparison(run, scenes, labels, budget, threads)
     rows = scores[scores["metric"].isin(COMPARED) & (scores["stressor"] == "")]
     measured: dict[tuple, dict[str, dict[str, float]]] = {}
     for row in rows[rows["value"].map(math.isfinite)].itertuples():
-        label = MethodEntry(row.method, row.variant, {}, int(row.seed)).label
+        label = label_of(row.method, row.variant, row.seed)
         view = measured.setdefault((row.dataset, row.scene, row.frame, row.target), {})
         view.setdefault(label, {})[row.metric] = round(row.value, 2)
     for view in views["views"]:
@@ -198,10 +203,10 @@ def _table_order(name: str) -> tuple[int, str]:
     return names.index(name) if name in names else len(names), name
 
 
-def _described(failure: Failure) -> dict[str, str]:
+def _described(failure: Failure, entrants: Entrants) -> dict[str, str]:
     log = Path(failure.log) if failure.log else None
     return {
-        "name": display_name(failure.method, failure.variant),
+        "name": entrants.name(failure.method, failure.variant),
         "place": failure.place,
         "stage": failure.stage,
         "reason": failure.reason,
@@ -210,12 +215,13 @@ def _described(failure: Failure) -> dict[str, str]:
     }
 
 
-def table_html(rows: pd.DataFrame) -> jinja2.utils.markupsafe.Markup:
+def table_html(rows: pd.DataFrame, entrants: Entrants) -> jinja2.utils.markupsafe.Markup:
     """A table that readers can sort; a mean's interval stands in its cell.
 
-    Columns without any value are left out, and controls are set in italics.
+    Columns without any value are left out, who plays comes first, and controls are set in italics.
     """
     rows = rows.dropna(axis="columns", how="all")
+    rows = rows[sorted(rows, key=lambda name: name not in (*ENTRANT, *INFO))]
     ends = {name for name in rows if name.endswith(("_low", "_high"))}
     ends = {name for name in ends if re.sub("_(low|high)$", "", name) in rows}
     columns = [name for name in rows if name not in ends]
@@ -223,7 +229,8 @@ def table_html(rows: pd.DataFrame) -> jinja2.utils.markupsafe.Markup:
     head = "".join(f'<th scope="col">{escape(name.replace("_", " "))}</th>' for name in columns)
     body = []
     for row in rows.to_dict("records"):
-        control = is_control(str(row.get("method", "")))
+        who = (str(row[name]) for name in ENTRANT[1:] if name in row)
+        control = "method" in row and entrants.is_control(*who)
         cells = "".join(_cell(name, row) for name in columns)
         body.append(f"<tr{' class=control' if control else ''}>{cells}</tr>")
     markup = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"

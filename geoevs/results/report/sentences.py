@@ -1,39 +1,38 @@
 """What a run says, in words made from its numbers."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import pandas as pd
 
-from geoevs.protocol.entries import ORACLES
+from geoevs.methods.contract import ORACLES
+from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.bootstrap import PairedDifference
 from geoevs.results.charts import speed_accuracy
 from geoevs.results.compare import paired_of, rows_of
+from geoevs.results.entrants import Entrants
 from geoevs.results.failures import Failure
-from geoevs.results.tables import (
-    FLOOR,
-    bin_names,
-    display_name,
-    make_table,
-    table_rows,
-    table_spec,
-)
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import bin_names, table_rows, table_spec
+from geoevs.results.tables import make_table
 
 METRIC_NAMES = {"sparse_psnr": "sparse PSNR", "psnr": "PSNR over all pixels"}
 
 
-def summarise_run(scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str, Any]) -> list[str]:
+def summarise_run(
+    scores: pd.DataFrame, costs: pd.DataFrame, settings: TableSettings, entrants: Entrants
+) -> list[str]:
     """Sentences about who is best, what it costs, and what it loses far from the sources.
 
     Args:
         scores: score rows.
         costs: cost rows.
         settings: the config's `tables` section.
+        entrants: who plays.
     """
-    points = speed_accuracy("extrapolation", scores, costs, settings)
-    curves = speed_accuracy("pose_offset", scores, costs, settings)
-    table = make_table("extrapolation", scores, settings)
+    points = speed_accuracy("extrapolation", scores, costs, settings, entrants)
+    curves = speed_accuracy("pose_offset", scores, costs, settings, entrants)
+    table = make_table("extrapolation", scores, settings, entrants)
     rows = table_rows(table_spec("extrapolation"), scores, settings)
     sentences = []
     for dataset in scores["dataset"].unique():
@@ -50,7 +49,7 @@ def summarise_run(scores: pd.DataFrame, costs: pd.DataFrame, settings: dict[str,
 
 
 def summarise_gaps(
-    failures: Sequence[Failure], scores: pd.DataFrame, sets: pd.DataFrame
+    failures: Sequence[Failure], scores: pd.DataFrame, sets: pd.DataFrame, entrants: Entrants
 ) -> list[str]:
     """Sentences about what failed, and what could not be measured.
 
@@ -58,8 +57,9 @@ def summarise_gaps(
         failures: of the run and its stability suite.
         scores: score rows.
         sets: rows of distances between sets of images.
+        entrants: who plays.
     """
-    return [*_failures(failures), *_unmeasured(scores, sets)]
+    return [*_failures(failures, entrants), *_unmeasured(scores, sets)]
 
 
 def _extent(rows: pd.DataFrame) -> str:
@@ -73,7 +73,7 @@ def _extent(rows: pd.DataFrame) -> str:
     )
 
 
-def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: dict[str, Any]) -> Iterator[str]:
+def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -> Iterator[str]:
     """The best method, and how it compares with the best control on the same views."""
     ranked = points.sort_values("mean", ascending=False)
     methods, controls = ranked[~ranked["control"]], ranked[ranked["control"]]
@@ -81,23 +81,27 @@ def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: dict[str, Any]) ->
         return
     best = methods.iloc[0]
     views = f"{METRIC_NAMES[best['metric']]} of extrapolated views"
-    sentence = f"By {views} {_scored(best)} is the best method"
+    sentences = [f"By {views} the best method is {_scored(best)}."]
     if len(controls):
         control = controls.iloc[0]
+        sentences.append(f"The best control is {_scored(control)}.")
         both = (rows_of(rows, row["method"], row["variant"]) for row in (best, control))
-        sentence += f"; the best control is {_scored(control)}{_gain(paired_of(*both, settings))}"
-    yield f"{sentence}."
+        sentences += _gain(best["name"], control["name"], paired_of(*both, settings))
+    yield " ".join(sentences)
 
 
-def _gain(gap: PairedDifference) -> str:
-    """What is gained view by view, and whether that is certain."""
+def _gain(best: str, control: str, gap: PairedDifference) -> Iterator[str]:
+    """What the best method gains or loses view by view, and whether that is certain."""
     if not gap.pairs:
-        return ""
-    gain = f", on which it gains {gap.mean:+.2f} dB view by view"
+        return
+    verb, preposition, sign = ("gains", "on", 1) if gap.mean >= 0 else ("loses", "to", -1)
+    ends = sorted((sign * gap.low, sign * gap.high))
+    interval = "" if pd.isna(gap.low) else f" [{ends[0]:.2f}, {ends[1]:.2f}]"
+    yield f"View by view {best} {verb} {abs(gap.mean):.2f} dB{interval} {preposition} {control}."
     if pd.isna(gap.low):
-        return f"{gain}; one frame a scene gives no interval"
-    doubt = ", so that which of them is better is not certain" if gap.low <= 0 <= gap.high else ""
-    return f"{gain} [{gap.low:+.2f}, {gap.high:+.2f}]{doubt}"
+        yield "One frame a scene gives no interval."
+    elif gap.low <= 0 <= gap.high:
+        yield "Which of the two is better is not certain."
 
 
 def _scored(row: pd.Series) -> str:
@@ -137,18 +141,17 @@ def _below_floor(table: pd.DataFrame) -> Iterator[str]:
     worse = table[(table["below_floor"] != "") & ~table["method"].isin(ORACLES)]
     if len(worse):
         named = "; ".join(
-            f"{display_name(row.method, row.variant)} on {row.below_floor.replace(' ', ', ')}"
-            for row in worse.itertuples()
+            f"{row.name} on {row.below_floor.replace(' ', ', ')}" for row in worse.itertuples()
         )
         yield f"Worse than one colour ({FLOOR}) on extrapolated views: {named}."
 
 
-def _failures(failures: Sequence[Failure]) -> Iterator[str]:
+def _failures(failures: Sequence[Failure], entrants: Entrants) -> Iterator[str]:
     if not failures:
         yield "Nothing failed."
     for stressed, where in ((False, "on at least one scene"), (True, "under stress")):
         some = [failure for failure in failures if failure.stressed == stressed]
-        names = dict.fromkeys(display_name(failure.method, failure.variant) for failure in some)
+        names = dict.fromkeys(entrants.name(failure.method, failure.variant) for failure in some)
         if names:
             yield f"Failed, {where}: {', '.join(names)}; see Failures."
 

@@ -10,7 +10,6 @@ from geoevs import layout
 from geoevs.core.files import whole_file
 from geoevs.results.audit_page import RANKS_WELL
 from geoevs.results.report.sentences import METRIC_NAMES
-from geoevs.results.tables import display_name
 
 
 def summarise_suites(run: Path) -> list[str]:
@@ -64,15 +63,14 @@ def _breaking(points: pd.DataFrame, curves: pd.DataFrame) -> Iterator[str]:
     for (dataset, metric), rows in held.groupby(["dataset", "metric"], sort=False):
         if metric not in METRIC_NAMES:
             continue
-        names = [display_name(row.method, row.variant) for row in rows.itertuples()]
-        shares = rows.groupby(names, sort=False)["held"].mean()
+        shares = rows.groupby("name", sort=False)["held"].mean()
         last, first = (shares[shares == end].index for end in (shares.max(), shares.min()))
         sentence = (
             f"Under stress on {dataset}, by {METRIC_NAMES[metric]}, the last to fall below the "
             f"best control: {', '.join(last)}, after {100 * shares.max():.0f} % of the levels "
             f"(mean of {rows['stressor'].nunique()} stressors)"
         )
-        mine = rows[[name in last for name in names]]
+        mine = rows[rows["name"].isin(last)]
         never = mine.groupby("stressor", sort=False)["level"].agg(lambda some: set(some))
         unbroken = [name for name, levels in never.items() if levels == {"none"}]
         if unbroken:

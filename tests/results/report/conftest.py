@@ -17,12 +17,20 @@ from geoevs.protocol.set_scoring import set_frame
 from geoevs.protocol.targets import read_targets, virtual_targets
 from geoevs.results.chart_pages import draw_page, page_html
 from geoevs.results.charts import speed_accuracy
+from geoevs.results.entrants import Entrants
 from geoevs.results.report.page import make_page
+from geoevs.results.settings import TableSettings
 from geoevs.results.tables import make_table
 
 PLACE = {"dataset": "d", "scene": "s"}
-SETTINGS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.1]}
-SETTINGS |= {"resamples": 100, "confidence": 0.95}
+SETTINGS = TableSettings([0, 15, 30], [0, 0.1], 100, 0.95, "geo-evs")
+DESCRIBED = {
+    "mean-colour": {"name": "mean-colour", "paradigm": "control"},
+    "reproject": {"name": "Reprojection", "paradigm": "control", "needs": "lidar"},
+    "geo-evs": {"name": "Geo-EVS", "paradigm": "diffusion", "needs": "lidar training"},
+    "grey": {"name": "Grey", "paradigm": "reconstruction"},
+}
+BLANK = {"extra_prior": "none", "needs": "", "citation": ""}
 VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, "broken": math.nan}
 WORDS = """# Breaking <points>
 
@@ -73,7 +81,9 @@ def reported(run, tmp_path_factory):
     stress = {"stressor": "support", "level": 0.01, "seed": 1, **failure(log)}
     stressed = score_frame([{**rows[0], **stress}])
     write_bytes(run / layout.STABILITY_SCORES, stressed.to_parquet(index=False))
-    config = {"tables": SETTINGS, "methods": {"grey": {}}}
+    write_json(run / layout.ENTRANTS, {name: BLANK | one for name, one in DESCRIBED.items()})
+    entrants = Entrants.read(run / layout.ENTRANTS)
+    config = {"tables": dataclasses.asdict(SETTINGS), "methods": {"grey": {}}}
     machine = {"processor": "a processor", "cores": 2}
     versions = {"python": "3.11"}
     manifest = {
@@ -86,9 +96,9 @@ def reported(run, tmp_path_factory):
         "machine": machine,
     }
     write_json(run / layout.MANIFEST, manifest)
-    table = make_table("extrapolation", scores, SETTINGS)
+    table = make_table("extrapolation", scores, SETTINGS, entrants)
     write_text(run / "tables/extrapolation.csv", table.to_csv(index=False))
-    points = speed_accuracy("extrapolation", scores, spent, SETTINGS)
+    points = speed_accuracy("extrapolation", scores, spent, SETTINGS, entrants)
     write_text(run / "charts/extrapolation.csv", points.to_csv(index=False))
     write_text(
         run / "charts/extrapolation.html",

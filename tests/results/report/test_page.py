@@ -9,6 +9,7 @@ from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_text
 from geoevs.protocol.targets import read_targets
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.report import page
 from geoevs.results.report.page import _exhibits, chart_of, make_page, table_html
 from geoevs.results.report.pictures import _unlike, comparison
@@ -69,12 +70,12 @@ def test_the_summary_is_made_from_the_numbers(reported):
     _, page = reported
     text = re.sub(r"&#3[49];", "'", page.read_text())
     # Frames 0 and 1 of one scene: the mean of 22 and 23.
-    assert "By sparse PSNR of extrapolated views Geo-EVS (22.50 [" in text
-    assert "the best control is reproject (20.50 [" in text
-    assert "gains +2.00 dB view by view [+2.00, +2.00]." in text
-    frontier = "mean-colour (0.001 s a view, 11.50 dB), reproject (0.01 s a view, 20.50 dB), "
+    assert "By sparse PSNR of extrapolated views the best method is Geo-EVS (22.50 [" in text
+    assert "The best control is Reprojection (20.50 [" in text
+    assert "View by view Geo-EVS gains 2.00 dB [2.00, 2.00] on Reprojection." in text
+    frontier = "mean-colour (0.001 s a view, 11.50 dB), Reprojection (0.01 s a view, 20.50 dB), "
     assert f"each of these: {frontier}Geo-EVS (0.1 s a view, 22.50 dB)." in text
-    assert "Worse than one colour (mean-colour) on extrapolated views: grey on " in text
+    assert "Worse than one colour (mean-colour) on extrapolated views: Grey on " in text
     assert "Failed, on at least one scene: broken; see Failures." in text
     assert "Failed, under stress: mean-colour; see Failures." in text
 
@@ -142,13 +143,21 @@ def test_means_stand_with_their_interval_and_sort_by_their_value():
             **{"empty": [None, None], "note": ["<b>", ""], "gap_low": [1.0, 2.0]},
         }
     )
-    text = str(table_html(rows))
+    entrants = Entrants({"reproject": Info("Reprojection", "control")})
+    text = str(table_html(rows, entrants))
     assert '<td class="number" data-sort="21.5">21.5 <small>[20, 23]</small></td>' in text
     assert '<td class="number" data-sort="inf">∞</td>' in text
     assert "<tr class=control><td>reproject</td>" in text
     assert "&lt;b&gt;" in text
     assert "empty" not in text
     assert ">gap low</th>" in text  # an end without its mean is a column like others
+
+
+def test_who_plays_comes_first():
+    rows = pd.DataFrame([{"dataset": "d", "group": "g", "method": "m", "psnr": 1, "name": "M"}])
+    text = str(table_html(rows, Entrants({})))
+    head = re.findall(r">(\w+)</th>", text)
+    assert head == ["dataset", "method", "name", "group", "psnr"]
 
 
 def test_words_come_first_then_charts_in_the_order_of_their_tables(tmp_path):
@@ -164,6 +173,12 @@ def test_pages_without_a_chart_have_none(tmp_path):
     assert chart_of(path) is None
     path.write_text('<script>const spec = {"mark": "bar"};\nmore()</script>')
     assert chart_of(path) == {"mark": "bar"}
+
+
+def test_the_ablations_method_is_shown_first(reported):
+    run, page = reported
+    assert embedded(page, "compare-data")["featured"] == "geo-evs"
+    assert f"geoevs why extrapolation geo-evs sparse_psnr --run {run.name}" in page.read_text()
 
 
 def test_the_same_run_gives_the_same_page(reported):

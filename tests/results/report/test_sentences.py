@@ -1,62 +1,112 @@
-"""What a run says in words of its best method."""
+"""What a run says in words of its methods."""
 
 import pytest
 
 from geoevs.protocol.rows import COST_TYPES, cost_frame
+from geoevs.results.entrants import Entrants, Info
 from geoevs.results.report.sentences import summarise_run
+from geoevs.results.settings import TableSettings
 
-SETTINGS = {"pose_bins": [0, 15, 30], "support_bins": [0, 0.1]}
-SETTINGS |= {"resamples": 200, "confidence": 0.95}
+SETTINGS = TableSettings([0, 10, 20, 30], [0, 0.1], 200, 0.95, "geo-evs")
+ENTRANTS = Entrants(
+    {
+        "reproject": Info("Reprojection", "control"),
+        "nearest-view": Info("Nearest view", "control"),
+        "mine": Info("Mine", "reconstruction"),
+    }
+)
 
 
 @pytest.fixture
-def best(rows):
-    """The sentence on the best by sparse PSNR, from what two entrants score in each frame."""
+def said(rows):
+    """The sentences of a run, from its score rows; all its entrants cost the same."""
 
-    def make(**values):
-        methods = [name.replace("_", "-") for name in values]
-        scores = rows(
-            *[
-                {"method": method, "frame": frame, "value": value}
-                for method, numbers in zip(methods, values.values(), strict=True)
-                for frame, value in enumerate(numbers)
-            ]
-        )
+    def make(*changes):
+        scores = rows(*changes)
         blank = {"string": "", "int64": 0, "float64": 1.0}
         usual = {name: blank[kind] for name, kind in COST_TYPES.items()}
         usual |= {"dataset": "d", "scene": "s", "variant": "default"}
         usual |= {"sources": "all-cameras", "status": "ok"}
-        costs = cost_frame([usual | {"method": method} for method in methods])
-        said = summarise_run(scores, costs, SETTINGS)
-        (sentence,) = (line for line in said if "is the best method" in line)
-        return sentence
+        costs = cost_frame([usual | {"method": method} for method in scores["method"].unique()])
+        return summarise_run(scores, costs, SETTINGS, ENTRANTS)
+
+    return make
+
+
+@pytest.fixture
+def best(said):
+    """What is said of the best by sparse PSNR, from what entrants score in each frame."""
+
+    def make(**values):
+        lines = said(
+            *[
+                {"method": name.replace("_", "-"), "frame": frame, "value": value}
+                for name, numbers in values.items()
+                for frame, value in enumerate(numbers)
+            ]
+        )
+        (line,) = (line for line in lines if "the best method is" in line)
+        return line
 
     return make
 
 
 def test_a_gain_in_every_view_is_sure_though_intervals_overlap(best):
-    sentence = best(geo_evs=[20.5, 30.5, 40.5], reproject=[20.0, 30.0, 40.0])
-    assert sentence.startswith("By sparse PSNR of extrapolated views Geo-EVS (30.50 [2")
-    assert "the best control is reproject (30.00 [2" in sentence
-    assert sentence.endswith(", on which it gains +0.50 dB view by view [+0.50, +0.50].")
+    text = best(geo_evs=[20.5, 30.5, 40.5], reproject=[20.0, 30.0, 40.0])
+    start = "By sparse PSNR of extrapolated views the best method is Geo-EVS (30.50 [2"
+    assert text.startswith(start)
+    assert "The best control is Reprojection (30.00 [2" in text
+    assert text.endswith("View by view Geo-EVS gains 0.50 dB [0.50, 0.50] on Reprojection.")
 
 
 def test_a_gain_that_turns_around_is_doubted(best):
-    sentence = best(geo_evs=[21.0, 22.0], reproject=[23.0, 19.0])
-    assert "it gains +0.50 dB view by view [-2.00, +3.00], so that which of them is" in sentence
+    text = best(geo_evs=[21.0, 22.0], reproject=[23.0, 19.0])
+    assert "Geo-EVS gains 0.50 dB [-2.00, 3.00] on Reprojection. Which of the two is" in text
+    assert text.endswith("is better is not certain.")
 
 
-def test_a_loss_is_said_too(best):
-    sentence = best(geo_evs=[21.0, 22.0], reproject=[23.0, 25.0])
-    assert sentence.endswith("it gains -2.50 dB view by view [-3.00, -2.00].")
+def test_a_loss_is_called_one(best):
+    text = best(geo_evs=[21.0, 22.0], reproject=[23.0, 25.0])
+    assert text.endswith("View by view Geo-EVS loses 2.50 dB [2.00, 3.00] to Reprojection.")
+
+
+def test_a_loss_that_turns_around_is_doubted(best):
+    text = best(geo_evs=[21.0, 22.0], reproject=[20.0, 25.0])
+    assert "loses 1.00 dB [-1.00, 3.00] to Reprojection. Which of the two is better is not" in text
 
 
 def test_one_frame_gives_no_interval(best):
-    sentence = best(geo_evs=[21.0], reproject=[20.0])
-    assert sentence.endswith("it gains +1.00 dB view by view; one frame a scene gives no interval.")
+    text = best(geo_evs=[21.0], reproject=[20.0])
+    assert text.endswith("gains 1.00 dB on Reprojection. One frame a scene gives no interval.")
 
 
 def test_without_a_control_or_a_shared_view_there_is_no_gain(best):
-    assert best(geo_evs=[21.0]).endswith("Geo-EVS (21.00 dB) is the best method.")
+    assert best(geo_evs=[21.0]).endswith("the best method is Geo-EVS (21.00 dB).")
     nan = float("nan")
-    assert best(geo_evs=[21.0, nan], reproject=[nan, 20.0]).endswith("is reproject (20.00 dB).")
+    assert best(geo_evs=[21.0, nan], reproject=[nan, 20.0]).endswith("is Reprojection (20.00 dB).")
+
+
+def test_the_best_is_the_highest_of_several(best):
+    scores = {"worst": [18.0], "mine": [22.0], "geo_evs": [21.0]}
+    text = best(**scores, nearest_view=[12.0], reproject=[19.5])
+    assert (
+        "the best method is Mine (22.00 dB). The best control is Reprojection (19.50 dB)." in text
+    )
+    assert "View by view Mine gains 2.50 dB on Reprojection." in text
+
+
+def test_what_angles_cost_is_the_last_bin_minus_the_first(said):
+    # The middle bin says nothing, nor do controls.
+    values = {"geo-evs": (21.0, 30.0, 18.5), "mine": (20.0, 0.0, 19.0), "other": (20.0, 9.0, 20.5)}
+    values |= {"reproject": (22.0, 9.0, 9.0)}
+    lines = said(
+        *[
+            {"method": method, "split": "pose-sweep", "pose_offset": angle, "value": value}
+            for method, numbers in values.items()
+            for angle, value in zip((5.0, 15.0, 25.0), numbers, strict=True)
+        ]
+    )
+    assert (
+        "From 0-10 to 20-30 degrees off the front camera, sparse PSNR changes by: "
+        "other +0.50 dB, Mine -1.00 dB, Geo-EVS -2.50 dB."
+    ) in lines

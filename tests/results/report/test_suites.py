@@ -26,7 +26,7 @@ def write_stability(run, broken):
     for method, levels in broken.items():
         for (stressor, all_levels), level in zip(LEVELS.items(), levels, strict=True):
             mine = {**key, "method": method, "stressor": stressor}
-            points.append({**mine, "level": level})
+            points.append({**mine, "level": level, "name": method.title()})
             numbers = [math.nan if one == "clean" else float(one) for one in all_levels]
             curves += [{**mine, "level": number} for number in numbers]
     for name, rows in (("breaking_points", points), ("stability", curves)):
@@ -63,8 +63,8 @@ def test_it_says_who_breaks_first_and_last(tmp_path):
     write_stability(tmp_path, broken)
     (sentence,) = summarise_suites(tmp_path)
     # Under support all of 4 levels, under yaw 1 of 2.
-    assert "the best control: late, after 75 % of the levels (mean of 2 stressors)" in sentence
-    assert ", and never under support; the first: early, too-early, after 0 %;" in sentence
+    assert "the best control: Late, after 75 % of the levels (mean of 2 stressors)" in sentence
+    assert ", and never under support; the first: Early, Too-Early, after 0 %;" in sentence
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,6 @@ def test_it_says_who_breaks_first_and_last(tmp_path):
 def test_one_method_is_compared_with_nobody(tmp_path, level, share, never):
     write_stability(tmp_path, {"mine": (level, "0")})
     (sentence,) = summarise_suites(tmp_path)
-    assert f"mine, after {share} % of the levels" in sentence
+    assert f"Mine, after {share} % of the levels" in sentence
     assert "the first" not in sentence
     assert ("never under support" in sentence) == never

@@ -16,6 +16,7 @@ def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
     text = "\n".join(lines)
     # Two frames of four views each, 9 and 10 dB.
     assert lines[0] == "cell      extrapolation grey sparse_psnr = 9.5 [9, 10] on d"
+    assert lines[1] == "entrant   Grey; paradigm reconstruction; extra prior none"
     assert f"rows      8 in {run}/scores.parquet, as pandas" in text
     assert 'method == "grey" and variant == "default" and metric == "sparse_psnr"' in text
     lowest = re.findall(r"lowest +9: (\S+)", text)
@@ -55,7 +56,12 @@ def test_the_query_finds_the_rows_behind_the_number(reported, cell):
     rows = pd.read_parquet(run / layout.SCORES).query(query)
     value = float(re.search(r" = (\S+) ", lines[0])[1])
     assert rows.groupby(["scene", "frame"])["value"].mean().mean() == pytest.approx(value, rel=1e-5)
-    assert len(rows) == int(lines[1].split()[1])
+    assert len(rows) == int(re.search(r"^rows +(\d+)", "\n".join(lines), re.MULTILINE)[1])
+
+
+def test_who_plays_is_said_as_far_as_it_is_known(reported):
+    cell = Cell("extrapolation", "broken", "sparse_psnr")
+    assert "entrant   broken" in explain(cell, reported[0])
 
 
 def test_the_papers_number_and_bins(reported):

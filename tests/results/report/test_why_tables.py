@@ -19,6 +19,7 @@ from geoevs.results.why_lookup import Cell
 
 BLANK = {"string": "", "int64": 0, "float64": math.nan}
 SETTINGS = {"pose_bins": [0, 30], "support_bins": [0, 0.1], "resamples": 50, "confidence": 0.9}
+SETTINGS |= {"ablation": "geo-evs"}
 ENTRANTS = {
     ("geo-evs", "default"): {0: 20.0, 1: 22.0},
     ("geo-evs", "v1"): {0: 19.0, 1: 20.0},
@@ -69,7 +70,10 @@ def run(rows, tmp_path):
     ):
         write_bytes(tmp_path / name, frame.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"geo-evs.v1": {"training": "v1"}}}
-    config["training"] = {"steps": 9, "variants": {"v1": {"masks": "none"}}}
+    config["trainings"] = {"geo-evs": {"steps": 9, "variants": {"v1": {"masks": "none"}}}}
+    who = {"name": "A name", "paradigm": "a paradigm", "extra_prior": "all", "needs": ""}
+    names = ("geo-evs.v1", "three-dgs")
+    write_json(tmp_path / layout.ENTRANTS, dict.fromkeys(names, who))
     write_json(tmp_path / layout.MANIFEST, {"commit": "abc", "seed": 0, "config": config})
     return tmp_path
 
@@ -118,6 +122,7 @@ def test_an_ablation_mean_leads_to_its_rows(run):
     assert len(told(lines, "lowest")) == 3
     assert f"{run}/renders/d/s/geo-evs.v1/t/000000.png" in told(lines, "lowest")[0]
     assert any("'masks': 'none'" in line for line in lines)
+    assert told(lines, "entrant") == ["Geo-EVS (v1); paradigm a paradigm; extra prior all"]
     rules, files = forced(lines)
     assert rules == ["fit", "render", "score"]
     assert len(files) == 4  # two scenes, two seeds
@@ -149,6 +154,7 @@ def test_a_cost_is_the_mean_of_its_fits(run):
     (rows,) = behind(lines, run)
     assert number(lines) == rows["fit_seconds"].mean() == 3.0
     assert told(lines, "fit") == ["2: s, seed 0", "4: u, seed 0"]
+    assert told(lines, "entrant") == ["3DGS; paradigm a paradigm; extra prior all"]
     assert len(forced(lines)[1]) == 2
     lines = explain(Cell("costs", "three-dgs", "peak_memory_mb"), run)
     assert number(lines) == 3.0
@@ -159,6 +165,7 @@ def test_a_cost_is_the_mean_of_its_fits(run):
 def test_a_regret_needs_every_size(run, scene, scenes, seconds):
     lines = explain(Cell("complexity", "three-dgs", "regret_db", scene), run)
     assert number(lines) == 0.5
+    assert told(lines, "entrant") == ["3DGS; paradigm a paradigm; extra prior all"]
     scores, fits = behind(lines, run)
     assert set(scores["variant"]) == set(fits["variant"]) == {"default", "2k", "8k"}
     assert len(fits) == len(forced(lines)[1]) == 3 * scenes

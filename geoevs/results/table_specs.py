@@ -1,0 +1,135 @@
+"""The paper's tables: which rows each averages, by which bins, and which columns it shows."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.protocol.scoring import THINNING
+from geoevs.results.settings import TableSettings
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """A table of the paper: which rows it averages, which columns it shows.
+
+    Args:
+        title: its heading.
+        splits: the splits whose rows it averages.
+        metrics: measured columns, the paper's first.
+        set_metrics: columns of distances between sets of images, each with its floor.
+        bins: the row column that divides it, or none.
+        edges: the config key, under `tables`, of the bins' edges; none where each split is a bin.
+    """
+
+    title: str
+    splits: tuple[str, ...]
+    metrics: tuple[str, ...]
+    set_metrics: tuple[str, ...] = ()
+    bins: str = ""
+    edges: str = ""
+
+
+TABLES = {
+    "extrapolation": TableSpec(
+        "Extrapolation: half-way yaw, shifted sideways (paper table 2, top)",
+        ("extrapolation",),
+        (
+            "sparse_psnr",
+            "sparse_ssim",
+            "sparse_psnr_new",
+            "sparse_psnr_footprint",
+            "psnr",
+            "psnr_new",
+            "psnr_supported",
+            "ssim",
+            "gms",
+            "lpips",
+        ),
+        set_metrics=("fid", "kid", "texture_energy"),
+    ),
+    "interpolation": TableSpec(
+        "Interpolation: the front camera from the front-side ones (paper table 5)",
+        ("interpolation",),
+        ("ssim", "psnr", "lpips", "mae", "gms"),
+        set_metrics=("texture_energy",),
+    ),
+    "observed": TableSpec(
+        "Observed views, themselves among the sources (paper table 1)",
+        ("observed",),
+        ("psnr", "ssim", "mae", "gms", "lpips"),
+        set_metrics=("fid", "kid", "texture_energy"),
+    ),
+    "pose_offset": TableSpec(
+        "By angle to the front camera, in degrees (paper table 2, bottom left)",
+        ("pose-sweep",),
+        ("sparse_psnr", "sparse_ssim", "psnr", "gms"),
+        bins="pose_offset",
+        edges="pose_bins",
+    ),
+    "sparsity": TableSpec(
+        "By support ratio of the sparse reference (paper table 2, bottom right)",
+        ("extrapolation",),
+        ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill"),
+        bins="support_ratio",
+        edges="support_bins",
+    ),
+    "masked": TableSpec(
+        "Masked views: conditions degraded by validity masks of other poses (paper section 3.4)",
+        ("masked-observed", "masked-extrapolation"),
+        (
+            "psnr_supported",
+            "psnr_removed",
+            "psnr_never",
+            "psnr_unsupported",
+            "psnr",
+            "sparse_psnr_removed",
+        ),
+        bins="split",
+    ),
+}
+
+
+def table_spec(name: str) -> TableSpec:
+    """The table called `name`.
+
+    Raises:
+        GeoEvsError: there is none; the sentence names the nearest one.
+    """
+    if name not in TABLES:
+        raise GeoEvsError(f"there is no table '{name}'; {did_you_mean(name, TABLES)}")
+    return TABLES[name]
+
+
+def bin_labels(edges: Sequence[float]) -> list[str]:
+    """Names of the bins between edges, as the paper writes them.
+
+    >>> bin_labels([0, 0.02, 0.05])
+    ['0-0.02', '0.02-0.05']
+    """
+    return [f"{low:g}-{high:g}" for low, high in itertools.pairwise(edges)]
+
+
+def bin_names(spec: TableSpec, settings: TableSettings) -> Sequence[str]:
+    """The bins of a table in order; one without a name where it has none."""
+    if not spec.bins:
+        return [""]
+    return bin_labels(getattr(settings, spec.edges)) if spec.edges else spec.splits
+
+
+def table_rows(spec: TableSpec, scores: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
+    """The score rows that a table averages, with the column `bin`."""
+    rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
+    wanted = (rows["stressor"] == "") | (
+        (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
+    )
+    rows = rows[wanted]
+    if not spec.edges:
+        return rows.assign(bin=rows[spec.bins] if spec.bins else "")
+    edges = getattr(settings, spec.edges)
+    closed = [*edges[:-1], math.nextafter(edges[-1], math.inf)]  # the last bin holds its end
+    cut = pd.cut(rows[spec.bins], closed, right=False, labels=bin_labels(edges))
+    return rows.assign(bin=cut.astype("string")).dropna(subset="bin")
