@@ -15,7 +15,8 @@ from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene
 
 SHIFTS = (0, -4, 4)
-"""Whose points a view is shown by, in frames: its own, and those that simulate a transformation."""
+"""Shifts in frames of the points that a view is shown by: its own, and those that simulate a
+transformation."""
 
 
 @dataclass(frozen=True, eq=False)

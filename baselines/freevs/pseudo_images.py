@@ -16,12 +16,12 @@ NEIGHBOURS = 2
 """Frames before and after one whose points are accumulated, as published."""
 
 OCCUPIED_RADIUS = 4 / 960
-"""How far around its points an object hides what is projected after it: the published 4 pixels,
-as a share of the image's width."""
+"""Radius around its points in which an object hides what is projected after it: the published 4
+pixels, as a share of the image's width."""
 
 
 class Points(NamedTuple):
-    """Points with colours."""
+    """Points with their colours; the owner says in which coordinates."""
 
     xyz: np.ndarray  # [N, 3] metres
     rgb: np.ndarray  # [N, 3] in [0, 1]
@@ -61,12 +61,12 @@ class Sweeps:
 
     @property
     def count(self) -> int:
-        """How many points there are."""
+        """The number of points, of all frames and boxes."""
         parts = [points for frame in self.objects.values() for points in frame.values()]
         return sum(len(points.xyz) for points in (*self.background.values(), *parts))
 
     def pseudo_image(self, camera: Camera, frame: int, shift: int = 0) -> Raster:
-        """What a camera would see of the points around a frame, at that frame's instant.
+        """Rasterise the points of the frames around one, as a camera would see them at its instant.
 
         Objects are projected from near to far, each but where nearer ones and the pixels around
         them are, then the background; of each the front-most point of a pixel counts.

@@ -16,7 +16,7 @@ from geoevs.projection import zbuffer
 from geoevs.scenes.scene import PointCloud
 
 DEPTH_WEIGHT, SKY_WEIGHT, ENTROPY_WEIGHT = 0.01, 0.05, 0.1
-"""As published."""
+"""Weights of the three losses, as published."""
 
 TRUSTED = 0.95
 """Share of LiDAR pixels that teach, those with the smallest errors."""

@@ -31,7 +31,7 @@ GRADIENT_NORM = 1.0
 
 
 class Task(Protocol):
-    """What is trained on what.
+    """A model with the data that it learns from, as `optimise` trains it.
 
     `identity` is a `fingerprint` of what decides the losses besides the model's weights: settings
     and data. Trainings that differ in it never go on from each other's state.

@@ -41,7 +41,7 @@ class AtLeast:
     low: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number that is too small; empty for one that is allowed."""
         return "" if value >= self.low else f"make it {self.low:g} or more"
 
 
@@ -52,7 +52,7 @@ class Above:
     low: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number that is too small; empty for one that is allowed."""
         return "" if value > self.low else f"make it more than {self.low:g}"
 
 
@@ -64,14 +64,14 @@ class Within:
     high: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number outside the range; empty for one that is allowed."""
         inside = self.low <= value <= self.high
         return "" if inside else f"choose from {self.low:g} to {self.high:g}"
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of some words."""
+    """A text that is one of `words`."""
 
     words: Collection[str]
 
@@ -80,7 +80,7 @@ class OneOf:
         object.__setattr__(self, "words", tuple(self.words))
 
     def mistake(self, value: str) -> str:
-        """What is wrong with a word, or nothing."""
+        """The nearest of the words, as advice; empty for one that is among them."""
         return "" if value in self.words else did_you_mean(value, self.words)
 
 

@@ -36,12 +36,12 @@ CROP = 64, 64
 """Height and width of the autoencoder's crops, pixels."""
 
 STATISTICS = 128
-"""Images, at least, that give the autoencoder's first weights and its latents' scale."""
+"""Fewest images that give the autoencoder's first weights and its latents' scale."""
 
 
 @dataclass(frozen=True)
 class Images:
-    """Images to pretrain on."""
+    """Images that the autoencoder and the prior are pretrained on, with their names."""
 
     rgb: np.ndarray  # [N, H, W, 3] uint8
     names: list[str]  # scene/camera/frame
@@ -193,7 +193,7 @@ class AutoencoderTask:
 
     @torch.inference_mode()
     def preview(self, model: nn.Module) -> np.ndarray:
-        """Images above their reconstructions."""
+        """(2 H, N W, 3) picture: N images, six at most, above their reconstructions."""
         picked = self._images[:: max(1, len(self._images) // 6)][:6]
         images = to_tensor(picked).to(next(model.parameters()).device)
         decoded = model.decode_raw(model.posterior(images).mean)

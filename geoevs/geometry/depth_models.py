@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class DepthModel(Protocol):
-    """Gives the source views of a frame their depth."""
+    """A source of depth for the source views of a frame."""
 
     parameters: int
-    """Learned ones."""
+    """Number of learned values; 0 without a network."""
 
     def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
         """(H, W) float32 metres by camera, 0 = none."""
@@ -73,7 +73,7 @@ class NetworkDepth(ABC):
 
     @property
     def parameters(self) -> int:
-        """How many numbers it learned."""
+        """The number of values that the network has learned."""
         return sum(parameter.numel() for parameter in self.model.parameters())
 
     @abstractmethod

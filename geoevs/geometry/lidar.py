@@ -79,7 +79,7 @@ def lidar_reach(
     seen: np.ndarray,  # [H, W] bool: pixels that hold a LiDAR point
     camera: Camera,
 ) -> np.ndarray:
-    """How far LiDAR may decide about the pixels of a view.
+    """Weights of LiDAR against a network's depth, by pixel: it decides near its points alone.
 
     A LiDAR that looks ahead meets the rim of a side camera's view, and none sees what stands
     closer than its range or below its lowest beam; what it saw there must not spread over the

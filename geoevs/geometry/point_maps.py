@@ -41,7 +41,7 @@ def write_point_maps(
 
 
 class PointMaps:
-    """What `write_point_maps` wrote, read one view at a time.
+    """The depth maps in a file of `write_point_maps`, read one view at a time.
 
     Raises:
         GeoEvsError: the file is missing or not whole.

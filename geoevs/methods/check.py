@@ -53,7 +53,7 @@ UNWATCHED_FOLDERS = ("__pycache__",)
 
 @dataclass(frozen=True)
 class Check:
-    """What came of one check.
+    """The result of one check of a contract.
 
     Args:
         name: what was checked.

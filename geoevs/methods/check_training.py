@@ -24,7 +24,7 @@ from geoevs.methods.training import CombinedTraining, Inputs
 from geoevs.scenes.store import Scene
 
 STEPS = 8
-"""Of the trainings that are compared, where Settings has `steps`."""
+"""Steps of the trainings that are compared, where Settings has `steps`."""
 
 TRAIN = """
 import dataclasses, importlib, json, sys

@@ -42,7 +42,7 @@ def tiny_camera(name: str, yaw: float, centre: np.ndarray) -> Camera:
 
 
 def tiny_truth(camera: Camera) -> Truth:
-    """What a camera sees: (H, W, 3) uint8, and (H, W) float32 depth in metres."""
+    """Exact view of the tiny scene: (H, W, 3) uint8, and (H, W) float32 depth in metres."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel(), np.ones(rows.size)], axis=1)
     # With z = 1 in the camera, the distance along a ray is its depth.

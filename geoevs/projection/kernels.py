@@ -31,7 +31,7 @@ def lens_of(camera: Camera) -> Numbers:
 
 
 def project_columns(px: Any, py: Any, pz: Any, lens: Numbers) -> tuple[Any, Any, Any]:
-    """World coordinates to (u, v, depth): scalars, arrays or tensors, whatever they may hold."""
+    """(u, v, depth) of world coordinates: scalars, arrays or tensors, whatever they may hold."""
     x = lens[0] * px + lens[1] * py + lens[2] * pz + lens[3]
     y = lens[4] * px + lens[5] * py + lens[6] * pz + lens[7]
     z = lens[8] * px + lens[9] * py + lens[10] * pz + lens[11]
@@ -119,7 +119,7 @@ def placing_of(camera: Camera) -> Numbers:
 
 
 def unproject_columns(column: Any, row: Any, z: Any, placing: Numbers) -> tuple[Any, Any, Any]:
-    """Pixels' centres at depth z to world coordinates: scalars, arrays or tensors."""
+    """The world coordinates of pixels' centres at depth z: scalars, arrays or tensors."""
     x = (column + 0.5 - placing[13]) / placing[12] * z
     y = (row + 0.5 - placing[15]) / placing[14] * z
     px = placing[0] * x + placing[1] * y + placing[2] * z + placing[3]

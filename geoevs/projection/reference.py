@@ -10,7 +10,7 @@ def zbuffer_reference(
     points: np.ndarray,  # [N, 3]
     camera: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `geoevs.projection.zbuffer` gives: project, filter, sort, take the first of each pixel.
+    """`geoevs.projection.zbuffer` in plain steps: project, filter, sort, keep each pixel's first.
 
     Args:
         points: (N, 3) world positions in metres.

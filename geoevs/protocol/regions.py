@@ -10,7 +10,7 @@ from geoevs.protocol.reference import SparseReference
 
 @dataclass(frozen=True)
 class Answer:
-    """What one region of a target should look like, and which of its pixels count."""
+    """The true pixels of one region of a target, and the mask of those that count."""
 
     target: np.ndarray  # [H, W, 3]
     mask: np.ndarray  # [H, W] bool

@@ -183,7 +183,7 @@ class SetMetric:
     weights: tuple[str, str] | None = None
 
     def missing(self) -> str:
-        """Why this machine cannot compute it; empty where it can."""
+        """The reason why this machine cannot compute it; empty where it can."""
         return missing_weights(*self.weights) if self.weights else ""
 
 

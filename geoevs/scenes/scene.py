@@ -115,7 +115,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What a scene is and where it comes from."""
+    """A scene's name, source, licence, rig and cameras."""
 
     name: str
     source: str

@@ -32,7 +32,7 @@ INPAINTINGS = (*CLASSICAL, *FREQUENCY_SELECTIVE)
 
 @dataclass
 class Method:
-    """What geometry explains, and OpenCV's guess elsewhere.
+    """Reprojection where geometry explains a view, and OpenCV's inpainting elsewhere.
 
     Args:
         inpaint: `telea`, `navier-stokes`, `fsr-fast` or `fsr-best`.

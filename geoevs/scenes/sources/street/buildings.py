@@ -64,7 +64,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Style:
-    """What the facades of one building look like."""
+    """The looks of one building's facades; lengths in metres, colours in linear RGB."""
 
     finish: str
     floors: int
@@ -79,7 +79,7 @@ class Style:
 
     @property
     def height(self) -> float:
-        """From the pavement to the top of the wall."""
+        """The height in metres from the pavement to the top of the wall."""
         return self.floors * self.floor_height + 0.5
 
 

@@ -32,7 +32,7 @@ PLASTER_COLOURS = (
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface looks.
+    """The material of a surface.
 
     Args:
         tile: albedo, or None where the mesh carries its own colours.

@@ -20,7 +20,7 @@ FAR = 400.0
 
 
 def add_ground(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Everything that lies flat, out to the horizon."""
+    """Add everything that lies flat, out to the horizon."""
     plane = np.array([[-FAR, -FAR], [FAR, -FAR], [FAR, FAR], [-FAR, FAR]])
     _flat(builder, "grass", plane[None], -0.05)
     half = street.half_width

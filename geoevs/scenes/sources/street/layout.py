@@ -105,17 +105,17 @@ class Street:
 
     @property
     def half_width(self) -> float:
-        """From the centre line to the kerb, main street and crossing street alike."""
+        """The distance in metres from the centre line to the kerb, on both streets alike."""
         return self.lane * self.lanes + self.parking
 
     @property
     def facade(self) -> float:
-        """From the kerb to the facades."""
+        """The distance in metres from the kerb to the facades."""
         return 0.2 + self.verge + self.sidewalk + self.setback
 
     @property
     def ego_offset(self) -> float:
-        """Lateral place of the ego: the middle of the right lane next to the centre line."""
+        """The ego's lateral place in metres: the middle of the lane right of the centre line."""
         return -self.lane / 2
 
 

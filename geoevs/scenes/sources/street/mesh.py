@@ -162,7 +162,7 @@ def add_tube(
     colour: ArrayLike,  # [3]
     sides: int = 8,
 ) -> None:
-    """A closed, smooth-shaded tapered tube."""
+    """Add a closed, smooth-shaded tapered tube."""
     rings = tube(np.array(start, float), np.array(end, float), radii, sides)
     quads, normals = loft(rings)
     builder.quads(finish, quads, colour, normals)

@@ -43,7 +43,7 @@ class Lattice:
         self._sensor = _make_sensor(camera, focal.max(), count, 0.5 - centre / count)
 
     def see(self, scene: Any, what: str) -> np.ndarray:
-        """(h, w, 3) what each ray of the lattice brings back; `what` is one of INTEGRATORS."""
+        """(h, w, 3) values that the rays bring back; `what` is one of INTEGRATORS."""
         mi = mitsuba()
         integrator = mi.load_dict(INTEGRATORS[what])
         image = mi.render(scene, sensor=self._sensor, integrator=integrator, spp=1)
@@ -126,7 +126,7 @@ def render_image(
     samples: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """(H, W, 3) uint8 picture.
+    """(H, W, 3) uint8 picture of a street at one instant.
 
     Args:
         scenes: the Mitsuba scenes of the instant.

@@ -15,7 +15,7 @@ from geoevs.scenes.sources.street.vehicles import make_car
 
 
 class Place(NamedTuple):
-    """Where something stands: metres, radians."""
+    """A position in metres and a heading in radians, in the world."""
 
     x: float
     y: float
