@@ -71,9 +71,9 @@ def make_clips(scene: Scene, advance: Callable[[], None]) -> Clips:
     for name in views.cameras:
         for frame in views.frames:
             camera = views.camera(name, frame)
-            shown = [sweeps.pseudo_image(camera, frame, shift) for shift in SHIFTS]
-            rgb = np.stack([to_uint8(raster.image) for raster in shown])
-            valid = np.stack([raster.mask for raster in shown])
+            rasters = [sweeps.pseudo_image(camera, frame, shift) for shift in SHIFTS]
+            rgb = np.stack([to_uint8(raster.image) for raster in rasters])
+            valid = np.stack([raster.mask for raster in rasters])
             target = to_uint8(views.image(name, frame))
             rows.append((rgb, valid, target, scene.info.name, name, frame))
         advance()

@@ -56,8 +56,8 @@ class PseudoImageEncoder(nn.Module):
     ) -> Tensor:
         """[B, channels, H / factor, W / factor] correction of pseudo-images' latents."""
         occupied = valid.to(images.dtype)
-        shown = torch.cat([(images * 2 - 1) * occupied, occupied], dim=1)
-        return self.head(functional.gelu(self.norm(self.blocks(self.stem(shown)))))
+        inputs = torch.cat([(images * 2 - 1) * occupied, occupied], dim=1)
+        return self.head(functional.gelu(self.norm(self.blocks(self.stem(inputs)))))
 
 
 @torch.no_grad()

@@ -78,12 +78,12 @@ class Sweeps:
                 published simulation of a viewpoint that the points were not measured for.
         """
         window = self._window(frame + shift)
-        found = [
+        objects = [
             part for box in self.boxes[frame] if (part := self._object(box, window)) is not None
         ]
-        found.sort(key=lambda points: np.linalg.norm(points.xyz - camera.centre, axis=1).min())
+        objects.sort(key=lambda points: np.linalg.norm(points.xyz - camera.centre, axis=1).min())
         background = [self.background[neighbour] for neighbour in window]
-        layers = [rasterize_points(*points, camera) for points in (*found, _join(background))]
+        layers = [rasterize_points(*points, camera) for points in (*objects, _join(background))]
         return _stack(layers, round(OCCUPIED_RADIUS * camera.width))
 
     def _window(self, centre: int) -> list[int]:

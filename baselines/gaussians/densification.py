@@ -141,11 +141,11 @@ class GradientStrategy:
             return  # and no gradient
         half = footprints.radii.new_tensor([camera.width / 2, camera.height / 2])
         steepness = (footprints.means2d_grad.to(half) * half).norm(dim=1)
-        shown = (footprints.radii > 0).to(half)
-        if self._total is None or len(self._total) != len(shown):  # others may prune too
-            self._total, self._count = torch.zeros_like(shown), torch.zeros_like(shown)
-        self._total += steepness * shown
-        self._count += shown
+        visible = (footprints.radii > 0).to(half)
+        if self._total is None or len(self._total) != len(visible):  # others may prune too
+            self._total, self._count = torch.zeros_like(visible), torch.zeros_like(visible)
+        self._total += steepness * visible
+        self._count += visible
 
     def _grow(self, optimiser: Optimiser, generator: torch.Generator) -> None:
         gaussians = optimiser.gaussians

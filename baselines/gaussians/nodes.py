@@ -151,10 +151,10 @@ class Sky:
         around = torch.cat([self.colours[..., -1:], self.colours, self.colours[..., :1]], dim=2)
         columns = self.colours.shape[2]
         grid = grid * grid.new_tensor([columns / (columns + 2), 1])
-        seen = torch.nn.functional.grid_sample(
+        colours = torch.nn.functional.grid_sample(
             around[None], grid, padding_mode="border", align_corners=False
         )
-        return seen[0].permute(1, 2, 0)
+        return colours[0].permute(1, 2, 0)
 
 
 @dataclass
@@ -172,16 +172,16 @@ class SceneGraph:
 
     def draw(self, camera: Camera, frame: int) -> "Drawn":
         """Draw a frame as a camera sees it, with the sky behind."""
-        shown = {self.background.name: self.background.placed(frame)}
+        parts = {self.background.name: self.background.placed(frame)}
         # An actor that is elsewhere costs as much as one in the picture.
-        shown |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
-        whole = Placed(*map(torch.cat, zip(*shown.values(), strict=True)))
+        parts |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
+        whole = Placed(*map(torch.cat, zip(*parts.values(), strict=True)))
         picture = rasterize_gaussians(*whole, camera)
         if self.sky is not None:
             behind = (1 - picture.opacity)[..., None] * self.sky.seen(camera)
             picture = picture._replace(rgb=picture.rgb + behind)
-        ends = np.cumsum([0, *(len(part.means) for part in shown.values())]).tolist()
-        rows = dict(zip(shown, map(slice, ends[:-1], ends[1:]), strict=True))
+        ends = np.cumsum([0, *(len(part.means) for part in parts.values())]).tolist()
+        rows = dict(zip(parts, map(slice, ends[:-1], ends[1:]), strict=True))
         return Drawn(picture, whole, rows)
 
     def __len__(self) -> int:

@@ -132,13 +132,13 @@ class Trainer:
         loss = photometric_loss(drawn.picture.rgb, photo.image)
         loss = loss + self._own_loss(self.graph, photo, drawn, step / self.steps)
         actors = [actor for actor in self.graph.actors if actor.name in drawn.rows]
-        shown = [self.graph.background, *actors]
+        nodes = [self.graph.background, *actors]
         loss = loss + self._strategy.penalty(self.graph.background.gaussians)
         loss.backward()
-        for node in shown:
+        for node in nodes:
             self.optimisers[node.name].check(step, f" of {node.name}")
         self._check_extras(step)
-        for node in shown:
+        for node in nodes:
             self.optimisers[node.name].step(step)
         self._step_extras(step)
         footprints = drawn.footprints("background")

@@ -93,6 +93,6 @@ def entropy_loss(
 
 def new_sky(photos: Sequence[Photo]) -> Sky:
     """A sky of the mean colour of what the photographs show of it; grey if nothing."""
-    shown = torch.cat([photo.image[photo.known["sky"]] for photo in photos])
-    colour = shown.mean(dim=0) if len(shown) else photos[0].image.new_full((3,), 0.5)
+    pixels = torch.cat([photo.image[photo.known["sky"]] for photo in photos])
+    colour = pixels.mean(dim=0) if len(pixels) else photos[0].image.new_full((3,), 0.5)
     return Sky(colour[:, None, None].repeat(1, *SKY_SHAPE))

@@ -24,13 +24,13 @@ def expand_scenes(scenes: Iterable[str]) -> list[str]:
         if ".." not in text:
             names.append(text)
             continue
-        found = re.fullmatch(r"([a-zA-Z0-9_.-]*?)([0-9]+)\.\.([0-9]+)", text)
-        if found is None or int(found[2]) > int(found[3]):
+        match = re.fullmatch(r"([a-zA-Z0-9_.-]*?)([0-9]+)\.\.([0-9]+)", text)
+        if match is None or int(match[2]) > int(match[3]):
             raise GeoEvsError(
                 f"scene '{text}' is not of the form NAME, NAME@FIRST-LAST (frames) or FIRST..LAST "
                 "(scenes), such as curve-1..40"
             )
-        prefix, first, last = found.groups()
+        prefix, first, last = match.groups()
         numbers = range(int(first), int(last) + 1)
         names.extend(f"{prefix}{number:0{len(first)}d}" for number in numbers)
     return names

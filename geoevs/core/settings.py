@@ -199,9 +199,9 @@ def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) ->
         _check_section(who, key, value, annotation)
         return
     if mistake := _mistake(value, annotation):
-        shown = "null" if value is None else repr(value)
+        text = "null" if value is None else repr(value)
         raise SettingError(
-            key, f"{who} cannot have {shown} for its option '{'.'.join(key)}'; {mistake}"
+            key, f"{who} cannot have {text} for its option '{'.'.join(key)}'; {mistake}"
         )
 
 

@@ -74,10 +74,10 @@ class Autoencoder(nn.Module):
             GeoEvsError: the images do not divide into latents.
         """
         blocks = self._blocks(images)
-        found = self.network.encode(blocks).latent_dist
+        posterior = self.network.encode(blocks).latent_dist
         if self.linear is None:
-            return found
-        moments = torch.cat([found.mean + self.linear.encode(blocks), found.logvar], dim=1)
+            return posterior
+        moments = torch.cat([posterior.mean + self.linear.encode(blocks), posterior.logvar], dim=1)
         return DiagonalGaussianDistribution(moments)
 
     def encode(

@@ -64,8 +64,8 @@ def read_images(scenes: Sequence[Path]) -> Images:
                 names.append(f"{scene.info.name}/{camera}/{frame}")
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
-        found = ", ".join(f"{height} x {width}" for height, width in sizes)
-        raise GeoEvsError(f"scenes differ in resolution ({found}); train on those of one")
+        listing = ", ".join(f"{height} x {width}" for height, width in sizes)
+        raise GeoEvsError(f"scenes differ in resolution ({listing}); train on those of one")
     return Images(np.stack(images), names)
 
 

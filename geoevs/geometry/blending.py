@@ -164,9 +164,9 @@ def weigh(
     depth = known[rows, columns]
     error = depth / z[inside] - 1
     agreed = (depth > 0) & (np.abs(error) < 3 * TOLERANCE)
-    seen = inside[agreed]
-    rays = [points[seen] - view.centre for view in (target, source)]
+    indices = inside[agreed]
+    rays = [points[indices] - view.centre for view in (target, source)]
     lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
     angle = np.linalg.norm(np.cross(*rays), axis=1) / (lengths[0] * lengths[1])
     weights = np.exp(-((error[agreed] / TOLERANCE) ** 2)) / (angle + LEAST_ANGLE) ** 2
-    return seen, uv[seen], weights
+    return indices, uv[indices], weights

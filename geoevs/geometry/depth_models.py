@@ -132,8 +132,8 @@ class VggtDepth(NetworkDepth):
         from geoevs.geometry.vggt import resize_image
 
         size = self.model.config.nearest_size(*images.shape[1:3])
-        shown = np.stack([resize_image(image.astype(np.float32), size) for image in images])
-        batch = torch.from_numpy(shown).permute(0, 3, 1, 2)
+        inputs = np.stack([resize_image(image.astype(np.float32), size) for image in images])
+        batch = torch.from_numpy(inputs).permute(0, 3, 1, 2)
         with torch.inference_mode():
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
         return tuple(maps[0].cpu().numpy() for maps in prediction)

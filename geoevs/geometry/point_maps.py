@@ -34,8 +34,8 @@ def write_point_maps(
     views = Views(scene, scene.cameras, needs=("lidar",))
     depths = {}
     for frame in views.frames:
-        found = model.depths(views, frame)
-        depths |= {_key(name, frame): found[name] for name in views.cameras}
+        maps = model.depths(views, frame)
+        depths |= {_key(name, frame): maps[name] for name in views.cameras}
         advance()
     write_arrays(path, depths)
 

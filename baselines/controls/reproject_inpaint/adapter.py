@@ -79,8 +79,8 @@ class Method:
         method._reprojection = reprojection
         return method
 
-    def _filled(self, seen: Rendering) -> Rendering:
-        return replace(seen, rgb=fill_holes(seen.rgb, seen.support, self.inpaint))
+    def _filled(self, rendering: Rendering) -> Rendering:
+        return replace(rendering, rgb=fill_holes(rendering.rgb, rendering.support, self.inpaint))
 
 
 def fill_holes(

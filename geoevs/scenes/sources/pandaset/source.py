@@ -133,9 +133,9 @@ def _find_cameras(folder: Path) -> tuple[str, ...]:
             raise GeoEvsError(
                 f"{folder / 'camera' / name} is missing; download the sequence's camera folders"
             )
-    found = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
-    known = [name for name in CAMERA_ORDER if name in found]
-    return (*known, *sorted(found.difference(CAMERA_ORDER)))
+    folders = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
+    known = [name for name in CAMERA_ORDER if name in folders]
+    return (*known, *sorted(folders.difference(CAMERA_ORDER)))
 
 
 def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> list[int]:

@@ -44,7 +44,7 @@ def _places(
     kerb: KerbLine, offset: float, spacing: float, rng: np.random.Generator
 ) -> list[tuple[float, float, float]]:
     """(x, y, yaw) along a kerb with yaw towards the road, away from the corners of blocks."""
-    found = []
+    places = []
     line = kerb.offset(offset)
     for leg in kerb.legs:
         points = line[leg]
@@ -54,8 +54,8 @@ def _places(
             place = s + rng.uniform(-1, 1)
             x, y = (np.interp(place, length, points[:, axis]) for axis in (0, 1))
             along = steps[min(np.searchsorted(length, place), len(steps)) - 1]
-            found.append((x, y, np.arctan2(-along[0], along[1])))
-    return found
+            places.append((x, y, np.arctan2(-along[0], along[1])))
+    return places
 
 
 class _Tree:

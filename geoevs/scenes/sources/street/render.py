@@ -161,11 +161,11 @@ def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np
     rays = np.zeros((1, 1, 1))
     for number, shift in enumerate(shifts):
         lattice = Lattice(camera, shift)
-        seen = lattice.per_pixel(lattice.see(scene, "lit"))
-        total, rays = total + seen, rays + lattice.rays
+        values = lattice.per_pixel(lattice.see(scene, "lit"))
+        total, rays = total + values, rays + lattice.rays
         if number % 6 == 0:
             glow = glow + lattice.per_pixel(lattice.see(scene, "glow"))
-            whole = whole + seen
+            whole = whole + values
     return total / rays, glow / np.maximum(whole, 1e-9)
 
 
@@ -176,8 +176,8 @@ def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
         lattice = Lattice(camera, shift)
         # In the mirror scene only glossy surfaces are without a glow of their own.
         glossy = lattice.see(mirror, "glow").max(axis=-1, keepdims=True) == 0
-        seen = lattice.see(mirror, "reflections")
-        total = total + lattice.per_pixel(np.where(glossy, seen, 0.0))
+        values = lattice.see(mirror, "reflections")
+        total = total + lattice.per_pixel(np.where(glossy, values, 0.0))
         rays = rays + lattice.rays
     return total / rays
 
