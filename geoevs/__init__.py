@@ -1,7 +1,7 @@
 """Geo-EVS: a benchmark suite for extrapolative view synthesis in driving scenes."""
 
 __version__ = "0.2.0"
-"""Of the package; CHANGELOG.md says what each version changed for users."""
+"""The package's version; CHANGELOG.md says what each version changed for users."""
 
 PROTOCOL = 1
 """Version of what the benchmark's numbers mean, written into every run.

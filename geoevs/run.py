@@ -34,7 +34,7 @@ class Answers:
         return {"dataset": self.dataset, "scene": self.name}
 
     def path(self, pattern: str, **names: str) -> Path:
-        """Where something of the scene lies, by its pattern in the layout and the other names."""
+        """The path of something of the scene: a pattern of the layout, filled with `names`."""
         return self.run / pattern.format(**self.place, **names)
 
     def renders(self, label: str) -> Path:
@@ -43,12 +43,12 @@ class Answers:
 
     @cached_property
     def scene(self) -> Scene:
-        """What was recorded."""
+        """The scene store: recorded images, LiDAR and boxes."""
         return Scene(self.path(layout.SCENE))
 
     @cached_property
     def targets(self) -> list[Target]:
-        """The views to synthesise."""
+        """The scene's views to synthesise, masked ones among them."""
         return read_targets(self.path(layout.TARGETS))
 
     @cached_property
@@ -64,7 +64,7 @@ class Answers:
         return None if target.recorded else self._references[target.unmasked.key]
 
     def mask(self, target: Target) -> ConditionMask:
-        """How a masked target's condition is degraded."""
+        """The degradation of a masked target's condition map."""
         return self._masks[target.key]
 
     def truth(self, target: Target) -> np.ndarray | None:
@@ -89,7 +89,7 @@ class Answers:
         return self.path(layout.TRUTH) / f"{target.key}.{suffix}"
 
     def regions(self, target: Target, keep: float = 1.0) -> dict[str, Answer]:
-        """What the regions of a target should look like, as far as anybody knows (see METRICS).
+        """The true pixels of a target's regions, as far as anybody knows them (see METRICS).
 
         Args:
             target: the view.

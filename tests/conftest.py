@@ -1,14 +1,37 @@
 """What tests of several packages share."""
 
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from geoevs.protocol.isolate import THREAD_VARIABLES
 
+TESTS = Path(__file__).parent
+
 HEIGHT, WIDTH = 16, 24
 """Of the tiny pairs and masks that trainings are tested on."""
+
+SLOW = (
+    "workflow/",
+    "baselines/emernerf/test_adapter.py",
+    "baselines/freevs/test_task.py",
+    "baselines/gaussians/test_nodes.py",
+    "baselines/gaussians/test_training.py",
+    "baselines/street_gaussians/test_adapter.py",
+    "baselines/three_dgs/test_adapter.py",
+    "generator/test_task.py",
+    "geometry/test_depth_loss.py",
+    "geometry/test_finetuning.py",
+    "geometry/test_refinement.py",
+    "methods/test_training.py",
+    "protocol/test_runs.py",
+    "results/report/test_browser.py",
+    "scenes/test_street.py",
+)
+"""Tests that `make check` leaves out: whole runs, a browser, and modules of 10 s or more, most of
+which train, fit or render."""
 
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
@@ -28,9 +51,14 @@ def pytest_configure(config):
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m "not slow"` looks at the marks
 def pytest_collection_modifyitems(items):
-    """The smoke run's tests take longest: where two processes share the files, one begins there."""
+    """Mark slow tests. The smoke run's take longest: of two processes, one begins there."""
     items.sort(key=lambda item: item.path.name != "test_smoke.py")
+    slow = tuple(f"{TESTS}/{name}" for name in SLOW)
+    for item in items:
+        if str(item.path).startswith(slow):
+            item.add_marker("slow")
 
 
 def pytest_runtest_setup(item):

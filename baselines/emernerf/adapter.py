@@ -28,7 +28,7 @@ MODEL_FILE, PLACE_FILE = "field.safetensors", "place.json"
 
 @dataclass
 class Method:
-    """The published method at the size of this suite's scenes; see docs/emernerf.md.
+    """EmerNeRF at the size of this suite's scenes; see docs/emernerf.md.
 
     Args:
         iterations: optimiser steps; None: STEPS_AN_IMAGE for each. A budget of seconds may end the
@@ -107,7 +107,7 @@ class Method:
         return Rendering(rgb.reshape(*shape, 3), depth.reshape(shape))
 
     def motion(self, camera: Camera, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """What emerged as moving in a view.
+        """The motion that emerged in a view, though nothing supervised it.
 
         Returns:
             (H, W) share of a pixel's light that comes from the dynamic field, and (H, W, 3) mean
@@ -167,7 +167,7 @@ class Method:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read what `save` wrote."""
+        """Restore a fitted method from the folder that `save` filled."""
         from baselines.emernerf.rays import Place
         from geoevs.core.networks import best_device, load_weights, read_network
 

@@ -67,12 +67,12 @@ class HashField(nn.Module):
         self,
         places: Tensor,  # [N, D] in [0, 1]
     ) -> Tensor:
-        """(N, features)."""
+        """(N, features) of positions, or of positions and times."""
         return self.network(self.grid(places))
 
 
 class DynamicField(nn.Module):
-    """What moves: features that are averaged along the scene flow over neighbouring times.
+    """The field of all that moves: features averaged along the scene flow over neighbouring times.
 
     Nothing supervises the flow; it emerges because features that agree along it explain more.
 
@@ -168,7 +168,7 @@ class ColourHead(nn.Module):
         rays: Tensor,  # [R, ray_features]
         ray: Tensor,  # [M] int64: each sample's ray
     ) -> Tensor:
-        """(M, 3) in [0, 1]."""
+        """(M, 3) colours of the samples, in [0, 1]."""
         inputs = self.sample_features + rays.shape[1]
 
         def layer(of: nn.Linear) -> Tensor:

@@ -18,7 +18,7 @@ MILESTONES, FACTOR = (0.5, 0.75, 0.9), 0.33  # where it falls, by how much
 
 @dataclass(frozen=True)
 class Fitting:
-    """How long and how fast.
+    """The length and the speed of a fit.
 
     Args:
         iterations: optimiser steps.

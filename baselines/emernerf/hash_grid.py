@@ -56,7 +56,7 @@ class HashGrid(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Features of one position."""
+        """The number of features that one position gets."""
         return WIDTH * len(self.cells)
 
     def forward(

@@ -25,19 +25,19 @@ def image_losses(
 
     `done` is the share of the fit so far.
     """
-    seen = model.render(rays, generator)
-    errors = ((seen.rgb - rgb) ** 2).mean(1)
-    opacity = seen.opacity.clamp(1e-6, 1 - 1e-6)
+    result = model.render(rays, generator)
+    errors = ((result.rgb - rgb) ** 2).mean(1)
+    opacity = result.opacity.clamp(1e-6, 1 - 1e-6)
     losses = {
         "rgb": errors.mean(),
         "sky": -SKY * torch.where(sky, torch.log1p(-opacity), opacity.log()).mean(),
-        "proposal": proposal_loss(seen.edges, seen.weights, seen.proposals),
+        "proposal": proposal_loss(result.edges, result.weights, result.proposals),
     }
-    if seen.motion is not None:
+    if result.motion is not None:
         sparse = DYNAMIC if done >= DYNAMIC_START else 0.0
-        losses["dynamic"] = sparse * seen.motion.densities.mean()
-        losses["shadow"] = SHADOW * seen.motion.shadow.mean()
-        losses["cycle"] = CYCLE * model.cycle(rays, seen, generator)
+        losses["dynamic"] = sparse * result.motion.densities.mean()
+        losses["shadow"] = SHADOW * result.motion.shadow.mean()
+        losses["cycle"] = CYCLE * model.cycle(rays, result, generator)
     return losses, errors.detach()
 
 
@@ -49,24 +49,24 @@ def lidar_losses(
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
     """Losses of LiDAR points' rays, by name; `done` is the share of the fit so far."""
-    seen = model.render(rays, generator, ranges)
+    result = model.render(rays, generator, ranges)
     near = ranges < FARTHEST
-    depth = (seen.depth / FARTHEST).clamp(0, 1)
+    depth = (result.depth / FARTHEST).clamp(0, 1)
     losses = {
         "depth": (near * (depth - ranges / FARTHEST) ** 2).sum() / near.sum().clamp_min(1),
-        "lidar proposal": proposal_loss(seen.edges, seen.weights, seen.proposals),
+        "lidar proposal": proposal_loss(result.edges, result.weights, result.proposals),
     }
     if done > SIGHT_START:
         since = done - SIGHT_START
         first, last = SIGHT_MARGIN
         margin = first + (last - first) * since / (1 - SIGHT_START)
         decayed = 0.5 ** (since // SIGHT_HALF)
-        losses["sight"] = SIGHT * decayed * line_of_sight(seen, ranges, margin)
+        losses["sight"] = SIGHT * decayed * line_of_sight(result, ranges, margin)
     return losses
 
 
 def line_of_sight(
-    seen: Rendered,
+    result: Rendered,
     ranges: Tensor,  # [R]
     margin: float,
 ) -> Tensor:
@@ -75,11 +75,11 @@ def line_of_sight(
     The distribution's mass in each sample is compared with the sample's weight. Within the margin
     are three standard deviations.
     """
-    edges = seen.distances
+    edges = result.distances
     middles = (edges[:, 1:] + edges[:, :-1]) / 2
     offset = middles - ranges[:, None]
     deviations = (edges - ranges[:, None]) * (3 / margin)
     mass = torch.special.ndtr(deviations).diff(dim=1)
-    empty = (offset < -margin) * seen.weights**2
-    around = (offset.abs() <= margin) * (seen.weights - mass) ** 2
+    empty = (offset < -margin) * result.weights**2
+    around = (offset.abs() <= margin) * (result.weights - mass) ** 2
     return (empty + around).sum(1).mean()

@@ -37,7 +37,7 @@ SEEN = 1e-4
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the networks are; docs/emernerf.md has the published ones beside them.
+    """The sizes of the networks; docs/emernerf.md has the published ones beside them.
 
     Args:
         levels: of the static hash grid. Proposals and the dynamic grid have half as many, the flow
@@ -65,7 +65,7 @@ class Rays(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What the dynamic field said along rays."""
+    """The dynamic field's values along rays."""
 
     densities: Tensor  # [R, S]
     share: Tensor  # [R, S] of the density
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 class Rendered(NamedTuple):
-    """What rays see; `rgb` is None where only geometry was asked for."""
+    """The values rendered along rays; `rgb` is None where only geometry was asked for."""
 
     rgb: Tensor | None  # [R, 3]
     depth: Tensor  # [R] metres along the ray, the mean that losses need

@@ -24,7 +24,7 @@ SMALLEST = 1.0  # metre of the box, so that it can be divided by
 
 
 class Place(NamedTuple):
-    """Where a scene lies: its box around zero, and what was subtracted."""
+    """The box of a scene around zero, and the world position that was subtracted."""
 
     centre: np.ndarray  # [3] world position of the box's middle, metres
     half: np.ndarray  # [3] half of the box's size, metres
@@ -38,7 +38,7 @@ class Place(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Time between neighbouring frames."""
+        """The time between neighbouring frames, as a share of the scene."""
         return 1 / max(self.last - self.first, 1)
 
 

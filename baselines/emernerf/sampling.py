@@ -142,7 +142,12 @@ def proposal_loss(
     weights: Tensor,  # [R, S]
     rounds: Sequence[Proposal],
 ) -> Tensor:
-    """What of the final weights no proposal covers (mip-NeRF 360, equations 12 and 13)."""
+    """The loss of proposals: the part of the final weights w that each leaves uncovered.
+
+    Of each proposal it is the mean over rays of sum max(0, w - bound)^2 / w, where the bound is the
+    proposal's weight over the smallest span of its samples that holds the final sample (mip-NeRF
+    360, equations 12 and 13). The losses of all proposals are added.
+    """
     weights = weights.detach()
     losses = []
     for proposal in rounds:

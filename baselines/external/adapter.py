@@ -13,7 +13,8 @@ from geoevs.scenes.camera import Camera, view_key
 
 @dataclass
 class Method:
-    """Reads `<folder>/<scene>/<camera>/<frame>.png`, such as `mine/101/front/000003.png`.
+    """Images made elsewhere: `<folder>/<scene>/<camera>/<frame>.png`, as
+    `mine/101/front/000003.png`.
 
     Args:
         folder: the images; `camera` is the target's name, the frame has six digits.
@@ -61,7 +62,7 @@ class Method:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Find the images again."""
+        """Restore the method from the folder that `save` filled; the images stay where they lie."""
         place = read_json(folder / "external.json")
         method = cls(place["folder"])
         method.scene = place["scene"]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Method(SampledMethod):
-    """The published method at the size of this suite's scenes; see docs/freevs.md.
+    """FreeVS at the size of this suite's scenes; see docs/freevs.md.
 
     Args:
         steps, guidance, sigma_max, average: see `Sampling`; None takes what it was trained for.
@@ -109,7 +109,7 @@ class Method(SampledMethod):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read what `save` wrote."""
+        """Restore a fitted method from the folder that `save` filled."""
         method = cls._load_saved(folder)
         method._views = Views.load(folder / "views")
         method._sweeps = Sweeps.read(method._views)

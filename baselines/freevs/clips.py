@@ -15,7 +15,8 @@ from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene
 
 SHIFTS = (0, -4, 4)
-"""Whose points a view is shown by, in frames: its own, and those that simulate a transformation."""
+"""Shifts in frames of the points that a view is shown by: its own, and those that simulate a
+transformation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +71,9 @@ def make_clips(scene: Scene, advance: Callable[[], None]) -> Clips:
     for name in views.cameras:
         for frame in views.frames:
             camera = views.camera(name, frame)
-            shown = [sweeps.pseudo_image(camera, frame, shift) for shift in SHIFTS]
-            rgb = np.stack([to_uint8(raster.image) for raster in shown])
-            valid = np.stack([raster.mask for raster in shown])
+            rasters = [sweeps.pseudo_image(camera, frame, shift) for shift in SHIFTS]
+            rgb = np.stack([to_uint8(raster.image) for raster in rasters])
+            valid = np.stack([raster.mask for raster in rasters])
             target = to_uint8(views.image(name, frame))
             rows.append((rgb, valid, target, scene.info.name, name, frame))
         advance()

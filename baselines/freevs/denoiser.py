@@ -38,7 +38,7 @@ class TemporalResnet(nn.Module):
         hidden: Tensor,  # [B * frames, C, h, w]
         embedding: Tensor,  # [B * frames, E]
     ) -> Tensor:
-        """[B * frames, channels, h, w]."""
+        """[B * frames, channels, h, w] features after both blocks."""
         hidden = self.spatial(hidden, embedding)
         clip = functional.silu(self.norm(hidden)).unflatten(0, (-1, self._frames))
         around = functional.pad(clip, (0, 0, 0, 0, 0, 0, 1, 1))
@@ -52,7 +52,7 @@ class Preconditioning(NamedTuple):
     skip: Tensor
     out: Tensor
     weight: Tensor
-    """Of the squared error: what makes the network's own target of unit variance count 1."""
+    """Weight of the squared error; with it the network's own target of unit variance counts 1."""
 
     @classmethod
     def at(

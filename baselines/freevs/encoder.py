@@ -23,13 +23,13 @@ class ConvNextBlock(nn.Module):
         self,
         features: Tensor,  # [B, C, h, w]
     ) -> Tensor:
-        """[B, C, h, w]."""
+        """Add the block's correction to the features; the shape stays."""
         hidden = self.norm(self.across(features).movedim(1, -1))
         return features + self.layers(hidden).movedim(-1, 1)
 
 
 class PseudoImageEncoder(nn.Module):
-    """What a pseudo-image's latent lacks, learned; nothing before the first step.
+    """A learned correction of a pseudo-image's latent, zero before the first step.
 
     Args:
         factor: pixels per latent pixel each way; the stem reads blocks of them, so that all that
@@ -54,10 +54,10 @@ class PseudoImageEncoder(nn.Module):
         images: Tensor,  # [B, 3, H, W] in [0, 1]
         valid: Tensor,  # [B, 1, H, W] bool
     ) -> Tensor:
-        """[B, channels, H / factor, W / factor]."""
+        """[B, channels, H / factor, W / factor] correction of pseudo-images' latents."""
         occupied = valid.to(images.dtype)
-        shown = torch.cat([(images * 2 - 1) * occupied, occupied], dim=1)
-        return self.head(functional.gelu(self.norm(self.blocks(self.stem(shown)))))
+        inputs = torch.cat([(images * 2 - 1) * occupied, occupied], dim=1)
+        return self.head(functional.gelu(self.norm(self.blocks(self.stem(inputs)))))
 
 
 @torch.no_grad()

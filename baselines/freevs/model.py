@@ -37,7 +37,7 @@ class ClipGenerator:
 
     @property
     def middle(self) -> int:
-        """Which view of a clip is shown: it has neighbours on both sides."""
+        """The index of the view of a clip that is shown: it has neighbours on both sides."""
         return self.denoiser.frames // 2
 
     @torch.inference_mode()

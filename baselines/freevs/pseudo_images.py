@@ -16,12 +16,12 @@ NEIGHBOURS = 2
 """Frames before and after one whose points are accumulated, as published."""
 
 OCCUPIED_RADIUS = 4 / 960
-"""How far around its points an object hides what is projected after it: the published 4 pixels,
-as a share of the image's width."""
+"""Radius around its points in which an object hides what is projected after it: the published 4
+pixels, as a share of the image's width."""
 
 
 class Points(NamedTuple):
-    """Points with colours."""
+    """Points with their colours; the owner says in which coordinates."""
 
     xyz: np.ndarray  # [N, 3] metres
     rgb: np.ndarray  # [N, 3] in [0, 1]
@@ -61,12 +61,12 @@ class Sweeps:
 
     @property
     def count(self) -> int:
-        """How many points there are."""
+        """The number of points, of all frames and boxes."""
         parts = [points for frame in self.objects.values() for points in frame.values()]
         return sum(len(points.xyz) for points in (*self.background.values(), *parts))
 
     def pseudo_image(self, camera: Camera, frame: int, shift: int = 0) -> Raster:
-        """What a camera would see of the points around a frame, at that frame's instant.
+        """Rasterise the points of the frames around one, as a camera would see them at its instant.
 
         Objects are projected from near to far, each but where nearer ones and the pixels around
         them are, then the background; of each the front-most point of a pixel counts.
@@ -78,12 +78,12 @@ class Sweeps:
                 published simulation of a viewpoint that the points were not measured for.
         """
         window = self._window(frame + shift)
-        found = [
+        objects = [
             part for box in self.boxes[frame] if (part := self._object(box, window)) is not None
         ]
-        found.sort(key=lambda points: np.linalg.norm(points.xyz - camera.centre, axis=1).min())
+        objects.sort(key=lambda points: np.linalg.norm(points.xyz - camera.centre, axis=1).min())
         background = [self.background[neighbour] for neighbour in window]
-        layers = [rasterize_points(*points, camera) for points in (*found, _join(background))]
+        layers = [rasterize_points(*points, camera) for points in (*objects, _join(background))]
         return _stack(layers, round(OCCUPIED_RADIUS * camera.width))
 
     def _window(self, centre: int) -> list[int]:

@@ -8,7 +8,8 @@ import numpy as np
 from geoevs.core.settings import Above, AtLeast, Count, check_fields
 
 SIGMA_MIN, RHO = 0.002, 7.0
-"""Where EDM's noise ends before zero, and how its steps are spaced, as Stable Video Diffusion's."""
+"""EDM's least noise before zero, and the exponent that spaces its steps, as Stable Video
+Diffusion's."""
 
 Guidance = Annotated[float, AtLeast(0)]
 SigmaMax = Annotated[float, Above(SIGMA_MIN)]
@@ -16,7 +17,7 @@ SigmaMax = Annotated[float, Above(SIGMA_MIN)]
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a clip is sampled.
+    """Settings by which a clip is sampled.
 
     Args:
         steps: of denoising.

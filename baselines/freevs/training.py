@@ -16,7 +16,7 @@ from geoevs.scenes.store import Scene
 
 @dataclass(frozen=True)
 class Noise:
-    """The logarithm of the noise's standard deviation in training: normal."""
+    """Normal distribution of the logarithm of the noise's standard deviation in training."""
 
     mean: float = 1.6
     std: Annotated[float, AtLeast(0)] = 1.0

@@ -16,8 +16,8 @@ NEAR_PLANE = 0.01
 """Metres; Gaussians whose centre is not beyond it are not drawn."""
 
 FRAME_MARGIN = 0.15
-"""Off the frame by more than this part of its side, the projection's slope is taken as it is there:
-its linearisation would blow up footprints."""
+"""Margin around the frame, as a part of its side. Beyond it the projection's slope is taken as it
+is at the margin: its linearisation would blow up footprints."""
 
 SH_C0 = 0.28209479177387814
 SH_C1 = 0.4886025119029199

@@ -19,29 +19,29 @@ from baselines.gaussians.rotations import rotation_matrices
 from geoevs.scenes.camera import Camera
 
 LEAST_OPACITY = 0.005
-"""Gaussians below it are pruned, or put to better use."""
+"""Opacity below which Gaussians are pruned, or relocated."""
 
 RESET_OPACITY = 2 * LEAST_OPACITY
 SHRINK = 1.6
-"""Parts of a split Gaussian are this much smaller."""
+"""Factor by which the parts of a split Gaussian are smaller."""
 
 GROWTH = 1.05
 MOST_COPIES = 51
-"""Of one Gaussian at a time, as many as gsplat's table has."""
+"""Most copies of one Gaussian at a time, as many as gsplat's table has."""
 
 NOISE = 5e5
-"""Of positions, in learning rates."""
+"""Size of the noise of positions, in learning rates of the means."""
 
 NOISE_SLOPE, NOISE_OPACITY = 100.0, 0.005
-"""Gaussians above this opacity hardly move by noise; the slope is of the step between."""
+"""Slope and middle of the step by which noise depends on opacity: Gaussians above hardly move."""
 
 PENALTY = 0.01
-"""Weights of mean opacity and mean scale in the loss."""
+"""Weight of mean opacity, and of mean scale, in the loss."""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """When a strategy acts, in steps counted from 0, as published for 30 000 steps."""
+    """The steps at which a strategy acts, counted from 0, as published for 30 000 steps."""
 
     start: int = 500
     stop: int = 15_000
@@ -53,10 +53,10 @@ class Schedule:
 
 
 class Strategy(Protocol):
-    """How the number of Gaussians changes."""
+    """A rule by which Gaussians are added and removed during training."""
 
     def penalty(self, gaussians: Gaussians) -> Tensor | float:
-        """What is added to the loss."""
+        """The term that the strategy adds to the loss."""
         ...
 
     def update(
@@ -107,7 +107,7 @@ class GradientStrategy:
     _count: Tensor | None = field(default=None, init=False)  # [N]
 
     def penalty(self, gaussians: Gaussians) -> float:
-        """Nothing."""
+        """The term added to the loss: zero, since this strategy has no penalty."""
         return 0.0
 
     @torch.no_grad()
@@ -119,7 +119,11 @@ class GradientStrategy:
         camera: Camera,
         generator: torch.Generator,
     ) -> None:
-        """See `Strategy`."""
+        """Count gradients; from time to time clone, split, prune and reset opacities.
+
+        Raises:
+            GeoEvsError: no Gaussian is left.
+        """
         if step >= self.schedule.stop:
             return
         self._accumulate(footprints, camera)
@@ -137,11 +141,11 @@ class GradientStrategy:
             return  # and no gradient
         half = footprints.radii.new_tensor([camera.width / 2, camera.height / 2])
         steepness = (footprints.means2d_grad.to(half) * half).norm(dim=1)
-        shown = (footprints.radii > 0).to(half)
-        if self._total is None or len(self._total) != len(shown):  # others may prune too
-            self._total, self._count = torch.zeros_like(shown), torch.zeros_like(shown)
-        self._total += steepness * shown
-        self._count += shown
+        visible = (footprints.radii > 0).to(half)
+        if self._total is None or len(self._total) != len(visible):  # others may prune too
+            self._total, self._count = torch.zeros_like(visible), torch.zeros_like(visible)
+        self._total += steepness * visible
+        self._count += visible
 
     def _grow(self, optimiser: Optimiser, generator: torch.Generator) -> None:
         gaussians = optimiser.gaussians
@@ -189,7 +193,7 @@ class MCMCStrategy:
         camera: Camera,
         generator: torch.Generator,
     ) -> None:
-        """See `Strategy`."""
+        """Move transparent Gaussians at random; relocate and add others as the schedule says."""
         if self.schedule.acts(step):
             self._relocate(optimiser, generator)
             self._add(optimiser, generator)
@@ -241,7 +245,10 @@ def split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
 
 
 def share(gaussians: Gaussians, originals: Tensor) -> None:  # [M] int64
-    """Give Gaussians what each of their copies has, were they drawn as often as in `originals`."""
+    """Give the drawn Gaussians the opacity and size that they share with their copies.
+
+    `originals` has an index for every copy; see `shared_opacities`.
+    """
     times = torch.bincount(originals, minlength=len(gaussians))
     rows = times.nonzero()[:, 0]
     copies = (times[rows] + 1).clamp_max(MOST_COPIES)
@@ -254,12 +261,12 @@ def shared_opacities(
     opacities: Tensor,  # [M]
     copies: Tensor,  # [M] int64, 1 to MOST_COPIES
 ) -> tuple[Tensor, Tensor]:
-    """What N copies in one place need to look like one Gaussian (Kheradmand et al. 2024, eq. 9).
+    """Opacities and sizes by which N copies in one place look like one Gaussian.
 
-    Their opacity p lets as much light through together, (1 - p)^N = 1 - o. Their scale is o / D of
-    the original's, with D the sum over k of C(N, k) (-1)^(k-1) p^k / sqrt(k), so that they cover
-    as much in all along any line. (The published double sum over i and k is this one: the sum of
-    C(i-1, k) over i is C(N, k+1).)
+    The rule is equation 9 of Kheradmand et al. 2024. The copies' opacity p lets as much light
+    through together, (1 - p)^N = 1 - o. Their scale is o / D of the original's, with D the sum over
+    k of C(N, k) (-1)^(k-1) p^k / sqrt(k), so that they cover as much in all along any line. (The
+    published double sum over i and k is this one: the sum of C(i-1, k) over i is C(N, k+1).)
 
     Returns:
         p (M,), from LEAST_OPACITY to just under 1, and the scale's factor (M,).

@@ -25,7 +25,7 @@ def rasterize_gsplat(
     camera: Camera,
     background: Tensor | None,  # [3]
 ) -> Rasterization:
-    """What `baselines.gaussians.rasterizer.rasterize_gaussians` gives, by gsplat.
+    """The result of `baselines.gaussians.rasterizer.rasterize_gaussians`, computed by gsplat.
 
     Raises:
         GeoEvsError: gsplat is not installed.

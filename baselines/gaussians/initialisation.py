@@ -22,11 +22,13 @@ SOURCES = ("sfm", "lidar", "sfm and lidar", "random")
 
 RANDOM_POINTS = 5000
 RANDOM_DEPTHS, FAR_DEPTHS = (2.0, 100.0), (50.0, 200.0)
-"""Metres: from the bonnet to where a street's facades end, and where neither SfM nor LiDAR sees."""
+"""Ranges of depth in metres: from the bonnet to where a street's facades end, and where neither SfM
+nor LiDAR sees."""
 
 EXTENT_MARGIN = 1.1
 LEAST_EXTENT = 20.0
-"""Metres, as Street Gaussians has it: after a short drive, far Gaussians could hardly move."""
+"""Least extent of a scene in metres, as Street Gaussians has it. After a short drive far Gaussians
+could hardly move without it."""
 
 
 @dataclass(frozen=True)

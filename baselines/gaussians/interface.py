@@ -12,7 +12,7 @@ SH_COUNTS = (1, 4)
 
 @dataclass
 class Footprints:
-    """Where Gaussians fell in the picture: what densification goes by.
+    """The footprints of Gaussians in a picture, by which densification decides.
 
     Args:
         radii: (N,) float, half the longer side of the box around each footprint in pixels;

@@ -99,14 +99,14 @@ class GaussianMethod:
         return Rendering(picture.rgb.clamp(0, 1).cpu().numpy(), depth.cpu().numpy())
 
     def save(self, folder: Path) -> None:
-        """Write the nodes."""
+        """Write the Gaussians and parameters of all nodes."""
         from baselines.gaussians.storage import scene_arrays
 
         write_arrays(folder / FILE, scene_arrays(self._graph))
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read what `save` wrote."""
+        """Restore a fitted method from the folder that `save` filled."""
         from baselines.gaussians.gsplat_backend import usable_device
         from baselines.gaussians.storage import scene_from_arrays
 

@@ -15,7 +15,8 @@ from geoevs.core.errors import GeoEvsError
 INITIAL_OPACITY = 0.1
 NEIGHBOURS = 3
 LEAST_SPACING = 1e-7
-"""Square metres: points in one place get a size still."""
+"""Least mean squared distance to neighbours, square metres: points in one place get a size
+still."""
 
 
 @dataclass
@@ -52,7 +53,7 @@ class Gaussians:
 
     @property
     def opacities(self) -> Tensor:
-        """(N,) in (0, 1)."""
+        """(N,) opacities of the centres, in (0, 1)."""
         return self.logit_opacities.sigmoid()
 
     @property

@@ -42,7 +42,7 @@ class Placed(NamedTuple):
 
 @dataclass
 class Background:
-    """What stands still: Gaussians in the world."""
+    """The part of a scene that stands still: Gaussians in the world."""
 
     gaussians: Gaussians
     name = "background"
@@ -55,7 +55,7 @@ class Background:
 
 @dataclass
 class Actor:
-    """What moves rigidly: Gaussians about the middle of its box, x along its heading.
+    """An object that moves rigidly: Gaussians about the middle of its box, x along its heading.
 
     Args:
         name: its track.
@@ -110,7 +110,7 @@ class Actor:
         return all(inward > -radius * length for inward, length in sides)
 
     def extras(self) -> dict[str, Tensor]:
-        """Learned besides the Gaussians: the corrections of its track."""
+        """The learned tensors besides the Gaussians, by name: the corrections of the track."""
         return {"shifts": self.shifts, "turns": self.turns}
 
     @torch.no_grad()
@@ -132,7 +132,7 @@ class Actor:
 
 @dataclass
 class Sky:
-    """What is infinitely far: colours by direction, in rows of elevation and columns of azimuth.
+    """The sky, infinitely far: colours in rows of elevation and columns of azimuth.
 
     Args:
         colours: (3, rows, columns); the top row looks up, the middle column along the world's x.
@@ -142,7 +142,7 @@ class Sky:
     name = "sky"
 
     def extras(self) -> dict[str, Tensor]:
-        """What is learned."""
+        """The learned tensors of the sky, by name."""
         return {"colours": self.colours}
 
     def seen(self, camera: Camera) -> Tensor:
@@ -151,37 +151,37 @@ class Sky:
         around = torch.cat([self.colours[..., -1:], self.colours, self.colours[..., :1]], dim=2)
         columns = self.colours.shape[2]
         grid = grid * grid.new_tensor([columns / (columns + 2), 1])
-        seen = torch.nn.functional.grid_sample(
+        colours = torch.nn.functional.grid_sample(
             around[None], grid, padding_mode="border", align_corners=False
         )
-        return seen[0].permute(1, 2, 0)
+        return colours[0].permute(1, 2, 0)
 
 
 @dataclass
 class SceneGraph:
-    """The nodes of a scene."""
+    """The nodes of a scene: one background, its actors, and a sky where there is one."""
 
     background: Background
     actors: Sequence[Actor] = ()
     sky: Sky | None = None
 
     def nodes(self) -> Iterator[Background | Actor]:
-        """Those made of Gaussians."""
+        """The nodes that are made of Gaussians, the background first."""
         yield self.background
         yield from self.actors
 
     def draw(self, camera: Camera, frame: int) -> "Drawn":
-        """What a camera sees in a frame."""
-        shown = {self.background.name: self.background.placed(frame)}
+        """Draw a frame as a camera sees it, with the sky behind."""
+        parts = {self.background.name: self.background.placed(frame)}
         # An actor that is elsewhere costs as much as one in the picture.
-        shown |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
-        whole = Placed(*map(torch.cat, zip(*shown.values(), strict=True)))
+        parts |= {a.name: a.placed(frame) for a in self.actors if a.reaches(camera, frame)}
+        whole = Placed(*map(torch.cat, zip(*parts.values(), strict=True)))
         picture = rasterize_gaussians(*whole, camera)
         if self.sky is not None:
             behind = (1 - picture.opacity)[..., None] * self.sky.seen(camera)
             picture = picture._replace(rgb=picture.rgb + behind)
-        ends = np.cumsum([0, *(len(part.means) for part in shown.values())]).tolist()
-        rows = dict(zip(shown, map(slice, ends[:-1], ends[1:]), strict=True))
+        ends = np.cumsum([0, *(len(part.means) for part in parts.values())]).tolist()
+        rows = dict(zip(parts, map(slice, ends[:-1], ends[1:]), strict=True))
         return Drawn(picture, whole, rows)
 
     def __len__(self) -> int:
@@ -189,7 +189,7 @@ class SceneGraph:
         return sum(len(node.gaussians) for node in self.nodes())
 
     def extras(self) -> dict[str, dict[str, Tensor]]:
-        """What is learned besides the Gaussians, by node and name."""
+        """The learned tensors besides the Gaussians, by node and name."""
         nodes = [*self.actors, *((self.sky,) if self.sky else ())]
         return {node.name: node.extras() for node in nodes}
 
@@ -208,7 +208,7 @@ class Drawn(NamedTuple):
     rows: dict[str, slice]  # by the node's name
 
     def footprints(self, name: str) -> Footprints:
-        """Those of one node."""
+        """The footprints of one node's Gaussians."""
         rows, everyone = self.rows[name], self.picture.footprints
         gradient = everyone.means2d_grad
         return Footprints(everyone.radii[rows], None if gradient is None else gradient[rows])

@@ -16,13 +16,13 @@ LEARNING_RATES = {
     "sh0": 2.5e-3,
     "sh_rest": 2.5e-3 / 20,
 }
-"""As published with 3DGS (Kerbl et al. 2023)."""
+"""Learning rates by parameter, as published with 3DGS (Kerbl et al. 2023)."""
 
 MEANS_DECAY = 0.01
-"""What the rate of the means has fallen to, exponentially, at the last step."""
+"""Part of the rate of the means that is left at the last step; it falls exponentially."""
 
 EPSILON = 1e-15
-"""Gradients are as small as a picture's share of one Gaussian."""
+"""Adam's epsilon: gradients are as small as a picture's share of one Gaussian."""
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 

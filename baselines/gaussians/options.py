@@ -5,8 +5,8 @@ from typing import Annotated
 from geoevs.core.settings import OneOf
 
 FEWEST = 100
-"""Gaussians of a background, and points that a source of them must give: fewer leave most of a
-scene without any to grow from, or, where those in boxes are left out, none at all."""
+"""Fewest Gaussians of a background, and fewest points that a source of them must give. Fewer leave
+most of a scene without any to grow from, or none at all where those in boxes are left out."""
 
 STRATEGIES = ("mcmc", "gradient")
 

@@ -30,7 +30,7 @@ def rasterize_reference(
     camera: Camera,
     background: Tensor | None = None,  # [3]
 ) -> Rasterization:
-    """What `rasterizer.rasterize_gaussians` gives, in float64, by autograd throughout."""
+    """The result of `rasterizer.rasterize_gaussians` in float64, by autograd throughout."""
     check_gaussians(means, quats, scales, opacities, sh, background)
     means, quats, scales, opacities, sh = (
         tensor.double() for tensor in (means, quats, scales, opacities, sh)

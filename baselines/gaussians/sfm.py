@@ -29,23 +29,23 @@ FEATURE_WIDTH = 384
 """Smaller images are enlarged to about this width: four times the features, hence the points."""
 
 MOST_FEATURES = 2048
-"""Of an image, the strongest: matching takes time by their square."""
+"""Most features of an image, the strongest: matching takes time by their square."""
 
 FRAMES_APART = 2
-"""Images farther apart in the drive are not matched: at 1 m a frame, they add few points."""
+"""Most frames between two images that are matched: at 1 m a frame, others add few points."""
 
 WIDEST_ANGLE = 60.0
 """Degrees between the optical axes beyond which SIFT matches nothing, though views may overlap."""
 
 EPIPOLAR_ERROR = 2.0
 REPROJECTION_ERROR = 1.0
-"""Pixels of the enlarged image."""
+"""Largest reprojection error of a point, in pixels of the enlarged image."""
 
 TRIANGULATION_ANGLE = 1.5
-"""Degrees between the rays, at least: at 1 m of motion, 40 m away."""
+"""Least angle between the rays to a point, degrees: at 1 m of motion it is 40 m away."""
 
 TRACK_LENGTH = 3
-"""Views that must agree on a point. Of points that two views agree on, half are wrong."""
+"""Fewest views that must agree on a point. Of points that two views agree on, half are wrong."""
 
 ISOLATED = 0.1
 """A point is an outlier if its neighbours are farther from it than this part of its depth."""

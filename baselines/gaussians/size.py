@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from baselines.gaussians.training import Photo, Trainer
 
 PRICE = 1e-5
-"""Decibels a Gaussian: a thousand must gain 0.01 dB on views that were held out."""
+"""Price of a Gaussian in decibels: a thousand must gain 0.01 dB on views that were held out."""
 
 MOST, UNCHOSEN = 32_000, 8_000
-"""Gaussians that a training starts from at most and grows to; and if nothing can be held out."""
+"""Most Gaussians that a training starts from and grows to; and their number where nothing can be
+held out."""
 
 HELD_OUT = 8
 """One in so many photographs is held out."""
 
 START, STOP, ROUNDS = 0.55, 0.85, 6
-"""Shares of the training between which is deleted, and how often at most."""
+"""Shares of the training between which Gaussians are deleted, and the most rounds of it."""
 
 DELETED = 0.3
 """Share of the Gaussians that a round deletes."""

@@ -29,17 +29,19 @@ GROWTH_START, GROWTH_STOP = 0.04, 0.55
 """Shares of the training between which Gaussians are added."""
 
 GROWTH_ROUNDS = 125
-"""A whole training has time for; growing by a twentieth each, 70 of them make 30 of one."""
+"""Rounds of growth that a whole training would have time for. A round grows by a twentieth, so that
+70 rounds make 30 Gaussians of one."""
 
 SHORTEST_ROUND = 10
-"""Steps: what was just split is faint, and a short training would split it again and again."""
+"""Fewest steps of a round: what was just split is faint, and a short training would split it again
+and again."""
 
 RESETS = 10
 
 
 @dataclass(frozen=True)
 class Photo:
-    """What a camera saw in a frame, and whatever else is known of it.
+    """The image of a camera in a frame, and whatever else is known of that view.
 
     Args:
         image: (H, W, 3) in [0, 1].
@@ -81,7 +83,7 @@ def make_strategy(name: str, cap: int, steps: int) -> Strategy:
 
 
 OwnLoss = Callable[[SceneGraph, Photo, Drawn, float], Tensor | float]
-"""What a method adds to the photometric loss, after some share of the training."""
+"""A method's addition to the photometric loss; the number is the share of the training so far."""
 
 
 class Trainer:
@@ -130,13 +132,13 @@ class Trainer:
         loss = photometric_loss(drawn.picture.rgb, photo.image)
         loss = loss + self._own_loss(self.graph, photo, drawn, step / self.steps)
         actors = [actor for actor in self.graph.actors if actor.name in drawn.rows]
-        shown = [self.graph.background, *actors]
+        nodes = [self.graph.background, *actors]
         loss = loss + self._strategy.penalty(self.graph.background.gaussians)
         loss.backward()
-        for node in shown:
+        for node in nodes:
             self.optimisers[node.name].check(step, f" of {node.name}")
         self._check_extras(step)
-        for node in shown:
+        for node in nodes:
             self.optimisers[node.name].step(step)
         self._step_extras(step)
         footprints = drawn.footprints("background")

@@ -18,10 +18,10 @@ from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import PointCloud
 
 PIXELS = 4
-"""Of the largest view of an actor, for each of its Gaussians."""
+"""Pixels of the largest view of an actor for each of its Gaussians."""
 
 FEWEST, MOST = 32, 1000
-"""Gaussians of an actor."""
+"""Fewest and most Gaussians of an actor."""
 
 GROUND = 0.1
 """Metres above a box's bottom, up to which points may be of the road."""
@@ -36,7 +36,7 @@ class Track:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """In which it has a box."""
+        """The frames in which it has a box, rising."""
         return tuple(self.boxes)
 
     @property
@@ -66,7 +66,7 @@ class Track:
 
 
 def moving_tracks(views: Views) -> list[Track]:
-    """All that moves, in the frames that there are.
+    """A track for everything that moves, by name, with its boxes in the views' frames.
 
     Raises:
         GeoEvsError: a box has no size, or one that is not finite.

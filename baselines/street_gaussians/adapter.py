@@ -8,7 +8,7 @@ from geoevs.methods.contract import Budget, FitReport, MethodInfo, Views
 
 
 class Method(GaussianMethod):
-    """The published method at the size of this suite's scenes; see docs/gaussians.md."""
+    """Street Gaussians at the size of this suite's scenes; see docs/gaussians.md."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "Street Gaussians",

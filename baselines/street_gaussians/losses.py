@@ -16,7 +16,7 @@ from geoevs.projection import zbuffer
 from geoevs.scenes.scene import PointCloud
 
 DEPTH_WEIGHT, SKY_WEIGHT, ENTROPY_WEIGHT = 0.01, 0.05, 0.1
-"""As published."""
+"""Weights of the three losses, as published."""
 
 TRUSTED = 0.95
 """Share of LiDAR pixels that teach, those with the smallest errors."""
@@ -93,6 +93,6 @@ def entropy_loss(
 
 def new_sky(photos: Sequence[Photo]) -> Sky:
     """A sky of the mean colour of what the photographs show of it; grey if nothing."""
-    shown = torch.cat([photo.image[photo.known["sky"]] for photo in photos])
-    colour = shown.mean(dim=0) if len(shown) else photos[0].image.new_full((3,), 0.5)
+    pixels = torch.cat([photo.image[photo.known["sky"]] for photo in photos])
+    colour = pixels.mean(dim=0) if len(pixels) else photos[0].image.new_full((3,), 0.5)
     return Sky(colour[:, None, None].repeat(1, *SKY_SHAPE))

@@ -11,7 +11,7 @@ FAR_SHARE = 4
 
 
 class Method(GaussianMethod):
-    """The published method at the size of this suite's scenes; see docs/gaussians.md."""
+    """3D Gaussian Splatting at the size of this suite's scenes; see docs/gaussians.md."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "3DGS",

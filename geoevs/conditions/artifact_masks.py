@@ -20,7 +20,7 @@ from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 LABELS = ("scene", "frame", "yaw", "lateral", "support")
 PREFIX = "masks/"
-"""Of its arrays in a file, which may hold other things."""
+"""Prefix of the library's arrays in a file, which may hold other things."""
 
 NO_MASKS = "holds no masks; name training scenes under partitions.train of a data set"
 

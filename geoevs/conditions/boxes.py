@@ -28,16 +28,16 @@ def random_boxes(rng: np.random.Generator, height: int, width: int, hidden: floa
     count = rng.integers(1, MOST_BOXES + 1)
     sizes = _sizes(rng, height, width, count)
     centres = rng.uniform(size=(count, 2)) * (height, width)
-    wanted = hidden * height * width
+    target = hidden * height * width
     few, many = 0.0, 2 * np.max([height, width] / sizes[0])  # at which the first box hides all
     for _ in range(HALVINGS):
         scale = (few + many) / 2
-        if _area(_outside(centres, scale * sizes, height, width)) < wanted:
+        if _area(_outside(centres, scale * sizes, height, width)) < target:
             few = scale
         else:
             many = scale
     masks = [_outside(centres, scale * sizes, height, width) for scale in (few, many)]
-    return min(masks, key=lambda keep: abs(_area(keep) - wanted))
+    return min(masks, key=lambda keep: abs(_area(keep) - target))
 
 
 def random_erasing(rng: np.random.Generator, height: int, width: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
 
 PREFIX = "pairs/"
-"""Of their arrays in a file, which may hold other things."""
+"""Prefix of the pairs' arrays in a file, which may hold other things."""
 
 
 @dataclass(frozen=True, eq=False)

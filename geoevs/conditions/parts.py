@@ -25,10 +25,10 @@ def join_parts(
     """
     size = parts[0]["target"].shape[1:3]
     for path, part in zip(paths, parts, strict=True):
-        found = part["target"].shape[1:3]
-        if found != size:
+        shape = part["target"].shape[1:3]
+        if shape != size:
             raise GeoEvsError(
-                f"the {what} of {path} are {found[0]} x {found[1]} but those of {paths[0]} are "
+                f"the {what} of {path} are {shape[0]} x {shape[1]} but those of {paths[0]} are "
                 f"{size[0]} x {size[1]}; make them at one resolution"
             )
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}

@@ -24,13 +24,13 @@ def expand_scenes(scenes: Iterable[str]) -> list[str]:
         if ".." not in text:
             names.append(text)
             continue
-        found = re.fullmatch(r"([a-zA-Z0-9_.-]*?)([0-9]+)\.\.([0-9]+)", text)
-        if found is None or int(found[2]) > int(found[3]):
+        match = re.fullmatch(r"([a-zA-Z0-9_.-]*?)([0-9]+)\.\.([0-9]+)", text)
+        if match is None or int(match[2]) > int(match[3]):
             raise GeoEvsError(
                 f"scene '{text}' is not of the form NAME, NAME@FIRST-LAST (frames) or FIRST..LAST "
                 "(scenes), such as curve-1..40"
             )
-        prefix, first, last = found.groups()
+        prefix, first, last = match.groups()
         numbers = range(int(first), int(last) + 1)
         names.extend(f"{prefix}{number:0{len(first)}d}" for number in numbers)
     return names
@@ -48,10 +48,15 @@ def partition_scenes(
 
 
 Placed = list[tuple[str, str, SceneRef]]
-"""Scenes of a data set: partition, the scene as text, and what that means."""
+"""Scenes of a data set: the partition, the scene as text, and the text parsed."""
 
 
 def placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
+    """Every scene of a data set's partitions, ranges of seeds written out (see `expand_scenes`).
+
+    Raises:
+        GeoEvsError: a scene is not of the form NAME or NAME@FIRST-LAST.
+    """
     return [
         (partition, text, SceneRef.parse(text))
         for partition, texts in partitions.items()
@@ -60,6 +65,11 @@ def placed_scenes(partitions: Mapping[str, list[str]]) -> Placed:
 
 
 def check_partitions(dataset: str, placed: Placed) -> None:
+    """Check that no frame of a data set serves two partitions, but for those that train.
+
+    Raises:
+        GeoEvsError: two scenes share a frame; the sentence names both and their partitions.
+    """
     for (first, text, ref), (second, other_text, other) in itertools.combinations(placed, 2):
         if ref.overlaps(other) and {first, second} != set(TRAINING_PARTITIONS):
             raise GeoEvsError(

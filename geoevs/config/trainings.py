@@ -31,7 +31,7 @@ def variants(config: Mapping[str, Any], trainer: str) -> list[str]:
 
 
 def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any]:
-    """What the config says of one training, METHOD/VARIANT: its section, and the variant over it.
+    """The config's values for one training, METHOD/VARIANT: its section, and the variant over it.
 
     What neither says has the default of the method's Settings.
     """

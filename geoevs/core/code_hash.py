@@ -12,8 +12,8 @@ ROOT = Path(geoevs.__file__).parents[1]
 PACKAGES = ("geoevs", "baselines")
 DATA = (".yaml", ".jinja", ".css", ".js")
 PATHS = "geoevs.layout"
-"""The module of all paths. It does not count: what Snakemake makes or reads elsewhere than before
-it makes again by itself, and a new path concerns no rule that is there."""
+"""The module of all paths, which does not count. A file that is made or read elsewhere than before
+is made again by Snakemake itself, and a new path concerns no rule that is there."""
 
 
 def code_hash(*modules: str) -> str:

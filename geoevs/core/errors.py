@@ -9,7 +9,7 @@ class GeoEvsError(Exception):
 
 
 def reason_of(error: BaseException) -> str:
-    """Why something failed, in one line: a GeoEvsError's sentence, of others their type before it.
+    """The reason of a failure in one line: a GeoEvsError's sentence, or the type and its message.
 
     >>> reason_of(ValueError("two" + chr(10) + "lines"))
     'ValueError: two lines'

@@ -62,8 +62,8 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
     Raises:
         GeoEvsError: a weight is missing, unknown or of another shape; the first one is named.
     """
-    wanted = model.state_dict()
-    for name, value in wanted.items():
+    state = model.state_dict()
+    for name, value in state.items():
         if name not in weights:
             raise GeoEvsError(f"{path} lacks '{name}'; {advice}")
         if weights[name].shape != value.shape:
@@ -72,7 +72,7 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
                 f"is {tuple(value.shape)}; {advice}"
             )
     for name in weights:
-        if name not in wanted:
+        if name not in state:
             raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")
     # Copied, because kernels round by their operands' alignment, which in a file is any.
     copied = {

@@ -31,7 +31,7 @@ GRADIENT_NORM = 1.0
 
 
 class Task(Protocol):
-    """What is trained on what.
+    """A model with the data that it learns from, as `optimise` trains it.
 
     `identity` is a `fingerprint` of what decides the losses besides the model's weights: settings
     and data. Trainings that differ in it never go on from each other's state.
@@ -117,7 +117,7 @@ def optimise(
         task.model, optimisation, folder, identity, time.monotonic() if began is None else began
     )
     every = max(1, optimisation.steps // CHECKPOINTS)
-    shown = max(1, optimisation.steps // PREVIEWS)
+    preview_every = max(1, optimisation.steps // PREVIEWS)
     task.model.train()
     for _ in range(state.step):
         report(math.nan)
@@ -135,7 +135,7 @@ def optimise(
         report(loss)
         last = state.step == optimisation.steps
         # The state comes last: a run killed before it repeats the picture.
-        if state.step % shown == 0 or last:
+        if state.step % preview_every == 0 or last:
             picture = np.nan_to_num(task.preview(state.averaged))  # of a training that diverges
             write_image(folder / f"previews/{state.step:06d}.png", picture)
         if state.step % every == 0 or last:

@@ -12,13 +12,13 @@ def find_plugins(file: str, *packages: str) -> dict[str, str]:
     A plugin's name is its folder's, with hyphens for underscores. No plugin is imported.
     Where two packages hold the same name, the earlier one wins.
     """
-    found: dict[str, str] = {}
+    modules: dict[str, str] = {}
     for package in packages:
         for root in importlib.import_module(package).__path__:
             for path in sorted(Path(root).glob(f"*/{file}.py")):
                 folder = path.parent.name
-                found.setdefault(folder.replace("_", "-"), f"{package}.{folder}.{file}")
-    return found
+                modules.setdefault(folder.replace("_", "-"), f"{package}.{folder}.{file}")
+    return modules
 
 
 def load_plugin(kind: str, name: str, plugins: dict[str, str], attribute: str) -> type:

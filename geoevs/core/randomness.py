@@ -16,7 +16,7 @@ class Rng:
 
     @cached_property
     def numpy(self) -> np.random.Generator:
-        """The job's NumPy generator."""
+        """The job's NumPy generator, made when it is first asked for."""
         return np.random.default_rng(self._entropy)
 
     @cached_property

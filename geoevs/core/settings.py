@@ -15,11 +15,15 @@ import typing
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
 
-Settings = TypeVar("Settings")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+    from typing_extensions import TypeIs
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 class SettingError(GeoEvsError):
@@ -37,7 +41,7 @@ class AtLeast:
     low: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number that is too small; empty for one that is allowed."""
         return "" if value >= self.low else f"make it {self.low:g} or more"
 
 
@@ -48,7 +52,7 @@ class Above:
     low: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number that is too small; empty for one that is allowed."""
         return "" if value > self.low else f"make it more than {self.low:g}"
 
 
@@ -60,14 +64,14 @@ class Within:
     high: float
 
     def mistake(self, value: float) -> str:
-        """What is wrong with a number, or nothing."""
+        """The advice for a number outside the range; empty for one that is allowed."""
         inside = self.low <= value <= self.high
         return "" if inside else f"choose from {self.low:g} to {self.high:g}"
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of some words."""
+    """A text that is one of `words`."""
 
     words: Collection[str]
 
@@ -76,7 +80,7 @@ class OneOf:
         object.__setattr__(self, "words", tuple(self.words))
 
     def mistake(self, value: str) -> str:
-        """What is wrong with a word, or nothing."""
+        """The nearest of the words, as advice; empty for one that is among them."""
         return "" if value in self.words else did_you_mean(value, self.words)
 
 
@@ -100,7 +104,7 @@ PLAIN = {
 
 
 def check_options(
-    who: str, factory: Callable, options: Mapping[str, Any], positional: int = 0
+    who: str, factory: Callable[..., Any], options: Mapping[str, Any], positional: int = 0
 ) -> None:
     """Check that `options` are what `factory` takes, besides its first `positional` arguments.
 
@@ -150,7 +154,7 @@ def check_fields(who: str, settings: Any) -> None:
         _check_value(who, (field.name,), getattr(settings, field.name), field.type)
 
 
-def check_settings_class(kind: type, where: str) -> None:
+def check_settings_class(kind: type[Any], where: str) -> None:
     """Check that a class can be a section of the config.
 
     Args:
@@ -172,7 +176,9 @@ def check_settings_class(kind: type, where: str) -> None:
             )
 
 
-def _check_section(who: str, key: tuple[str, ...], values: Mapping[str, Any], kind: type) -> None:
+def _check_section(
+    who: str, key: tuple[str, ...], values: Mapping[str, Any], kind: "type[DataclassInstance]"
+) -> None:
     types_of = {field.name: field.type for field in dataclasses.fields(kind)}
     _check_names(who, list(types_of), values, key)
     for name, value in values.items():
@@ -189,13 +195,13 @@ def _check_names(
 
 
 def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) -> None:
-    if dataclasses.is_dataclass(annotation) and isinstance(value, Mapping):
+    if _is_section(annotation) and isinstance(value, Mapping):
         _check_section(who, key, value, annotation)
         return
     if mistake := _mistake(value, annotation):
-        shown = "null" if value is None else repr(value)
+        text = "null" if value is None else repr(value)
         raise SettingError(
-            key, f"{who} cannot have {shown} for its option '{'.'.join(key)}'; {mistake}"
+            key, f"{who} cannot have {text} for its option '{'.'.join(key)}'; {mistake}"
         )
 
 
@@ -209,12 +215,12 @@ def _mistake(value: Any, annotation: Any) -> str:
     if origin is Literal:
         return "" if value in parts else did_you_mean(str(value), map(str, parts))
     if origin in (typing.Union, types.UnionType):
-        reasons = [_mistake(value, part) for part in parts if part is not type(None)]
+        each = [_mistake(value, part) for part in parts if part is not type(None)]
         nothing = "" if value is None and type(None) in parts else "no"
-        return "" if not nothing or "" in reasons else " or ".join(dict.fromkeys(reasons))
+        return "" if not nothing or "" in each else " or ".join(dict.fromkeys(each))
     if annotation in PLAIN:
         return "" if _is_plain(value, annotation) else f"write {PLAIN[annotation]}"
-    if dataclasses.is_dataclass(annotation):
+    if _is_section(annotation):
         return (
             ""
             if isinstance(value, annotation)
@@ -225,6 +231,10 @@ def _mistake(value: Any, annotation: Any) -> str:
     if isinstance(origin, type) and issubclass(origin, Collection):
         return _list_mistake(value, origin, parts)
     return ""
+
+
+def _is_section(annotation: Any) -> "TypeIs[type[DataclassInstance]]":
+    return isinstance(annotation, type) and dataclasses.is_dataclass(annotation)
 
 
 def _is_plain(value: Any, kind: type) -> bool:
@@ -262,6 +272,6 @@ def _filled(settings: Settings, values: Mapping[str, Any]) -> Settings:
     changes = {}
     for name, value in values.items():
         now = getattr(settings, name)
-        whole = not (dataclasses.is_dataclass(now) and isinstance(value, Mapping))
-        changes[name] = value if whole else _filled(now, value)
+        section = dataclasses.is_dataclass(now) and isinstance(value, Mapping)
+        changes[name] = _filled(now, value) if section else value
     return dataclasses.replace(settings, **changes)

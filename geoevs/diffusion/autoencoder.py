@@ -33,7 +33,7 @@ def nano_autoencoder() -> AutoencoderKL:
 
 
 class Autoencoder(nn.Module):
-    """Images to normalised latents and back.
+    """A code of images: it encodes them as normalised latents, and decodes these.
 
     Over blocks of pixels a linear code stands beside the network, which only adds to it: the
     principal components of the blocks (`fit_linear`) already keep more than a small network learns
@@ -61,7 +61,7 @@ class Autoencoder(nn.Module):
 
     @property
     def latent_channels(self) -> int:
-        """Channels of a latent."""
+        """The number of channels that a latent has."""
         return self.shift.shape[1]
 
     def posterior(
@@ -74,10 +74,10 @@ class Autoencoder(nn.Module):
             GeoEvsError: the images do not divide into latents.
         """
         blocks = self._blocks(images)
-        found = self.network.encode(blocks).latent_dist
+        posterior = self.network.encode(blocks).latent_dist
         if self.linear is None:
-            return found
-        moments = torch.cat([found.mean + self.linear.encode(blocks), found.logvar], dim=1)
+            return posterior
+        moments = torch.cat([posterior.mean + self.linear.encode(blocks), posterior.logvar], dim=1)
         return DiagonalGaussianDistribution(moments)
 
     def encode(
@@ -159,18 +159,18 @@ class LinearCode(nn.Module):
         self.up = nn.Conv2d(channels, values, 1)
 
     def encode(self, blocks: Tensor) -> Tensor:
-        """[B, values, h, w] to [B, channels, h, w]."""
+        """[B, channels, h, w] code of [B, values, h, w] blocks."""
         return self.down(blocks)
 
     def decode(self, code: Tensor) -> Tensor:
-        """[B, channels, h, w] to [B, values, h, w]."""
+        """[B, values, h, w] blocks of a [B, channels, h, w] code."""
         return self.up(code)
 
     def fit(
         self,
         blocks: Tensor,  # [N, values]
     ) -> None:
-        """The blocks' principal components: no linear code of this size loses less."""
+        """Take the blocks' principal components: no linear code of this size loses less."""
         mean = blocks.mean(dim=0)
         covariance = torch.cov((blocks - mean).double().T)
         axes = torch.linalg.eigh(covariance).eigenvectors.flip(1)[:, : self.down.out_channels]
@@ -184,7 +184,7 @@ class LinearCode(nn.Module):
 def to_tensor(
     images: np.ndarray,  # [B, H, W, 3] uint8 or float in [0, 1]
 ) -> Tensor:
-    """[B, 3, H, W] float32 in [0, 1]."""
+    """Images as a [B, 3, H, W] float32 tensor in [0, 1]."""
     scale = 255.0 if images.dtype == np.uint8 else 1.0
     return torch.from_numpy(np.ascontiguousarray(images.transpose(0, 3, 1, 2))).float() / scale
 
@@ -210,5 +210,5 @@ def to_conditions(
 def to_arrays(
     images: Tensor,  # [B, 3, H, W]
 ) -> np.ndarray:
-    """(B, H, W, 3) float32 clipped to [0, 1]."""
+    """Images as a (B, H, W, 3) float32 array, clipped to [0, 1]."""
     return images.float().clamp(0, 1).permute(0, 2, 3, 1).cpu().numpy()

@@ -71,9 +71,9 @@ class Denoiser(nn.Module):
         features: Tensor | None = None,  # [B, C, h, w]
     ) -> Tensor:
         """[B, L, h, w] the prediction."""
-        seen = noisy if features is None else torch.cat([noisy, features.to(noisy.dtype)], dim=1)
+        inputs = noisy if features is None else torch.cat([noisy, features.to(noisy.dtype)], dim=1)
         prompt = self.prompt.expand(len(noisy), -1, -1)
-        predicted = self.unet(seen, timesteps, encoder_hidden_states=prompt).sample
+        predicted = self.unet(inputs, timesteps, encoder_hidden_states=prompt).sample
         return predicted + features[:, : noisy.shape[1]] if self.residual else predicted
 
 

@@ -36,12 +36,12 @@ CROP = 64, 64
 """Height and width of the autoencoder's crops, pixels."""
 
 STATISTICS = 128
-"""Images, at least, that give the autoencoder's first weights and its latents' scale."""
+"""Fewest images that give the autoencoder's first weights and its latents' scale."""
 
 
 @dataclass(frozen=True)
 class Images:
-    """Images to pretrain on."""
+    """Images that the autoencoder and the prior are pretrained on, with their names."""
 
     rgb: np.ndarray  # [N, H, W, 3] uint8
     names: list[str]  # scene/camera/frame
@@ -64,8 +64,8 @@ def read_images(scenes: Sequence[Path]) -> Images:
                 names.append(f"{scene.info.name}/{camera}/{frame}")
     sizes = sorted({image.shape[:2] for image in images})
     if len(sizes) > 1:
-        found = ", ".join(f"{height} x {width}" for height, width in sizes)
-        raise GeoEvsError(f"scenes differ in resolution ({found}); train on those of one")
+        listing = ", ".join(f"{height} x {width}" for height, width in sizes)
+        raise GeoEvsError(f"scenes differ in resolution ({listing}); train on those of one")
     return Images(np.stack(images), names)
 
 
@@ -193,7 +193,7 @@ class AutoencoderTask:
 
     @torch.inference_mode()
     def preview(self, model: nn.Module) -> np.ndarray:
-        """Images above their reconstructions."""
+        """(2 H, N W, 3) picture: N images, six at most, above their reconstructions."""
         picked = self._images[:: max(1, len(self._images) // 6)][:6]
         images = to_tensor(picked).to(next(model.parameters()).device)
         decoded = model.decode_raw(model.posterior(images).mean)

@@ -23,7 +23,7 @@ REMAKE = "make it again (ours come from `snakemake pretrain`, trained ones from 
 
 @dataclass(frozen=True)
 class Prior:
-    """What training starts from: an autoencoder and an unconditional denoiser of its latents."""
+    """An autoencoder and an unconditional denoiser of its latents, which trainings start from."""
 
     autoencoder: Autoencoder
     denoiser: Denoiser
@@ -64,7 +64,11 @@ def save_autoencoder(
 
 
 def load_autoencoder(path: Path) -> Autoencoder:
-    """Read what `save_autoencoder` wrote."""
+    """Read an autoencoder that `save_autoencoder` wrote, ready for inference.
+
+    Raises:
+        GeoEvsError: the file is missing, damaged, or of another shape.
+    """
     settings, weights = _read(path, {"block", "network"})
     with torch.device("meta"):  # random weights would be made in vain
         autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])

@@ -67,7 +67,7 @@ class Diffusion:
         return self.scheduler()
 
     def timesteps(self, steps: int, sampler: str) -> Tensor:
-        """[steps] int64: those that sampling visits."""
+        """[steps] int64: the timesteps that sampling visits."""
         scheduler = self.scheduler(sampler)
         scheduler.set_timesteps(steps)
         return scheduler.timesteps.long()

@@ -4,10 +4,10 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, pad
 
 RELAXATIONS = 8
-"""At every level. On streets 2 give 0.5 dB in holes, 8 give 0.75 and 16 give 0.85."""
+"""Relaxations at every level. On streets 2 give 0.5 dB in holes, 8 give 0.75 and 16 give 0.85."""
 
 LEAST_WEIGHT = 1e-6
-"""Stands for no weight at all where it divides."""
+"""Least weight to divide by, in place of none."""
 
 
 def push_pull(

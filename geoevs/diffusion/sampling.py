@@ -22,7 +22,7 @@ Sampler = Annotated[str, OneOf(SAMPLERS)]
 
 @dataclass(frozen=True)
 class Sampling:
-    """How an image is sampled (paper section 4.1).
+    """Settings by which an image is sampled (paper section 4.1).
 
     Args:
         steps: T, denoising steps.

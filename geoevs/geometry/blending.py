@@ -29,16 +29,16 @@ NEIGHBOURS = 1
 """Frames before and after whose clouds help to find the surface."""
 
 TOLERANCE = 0.15
-"""Of a source view's depth, relative: a view that is this far off counts for 1 / e."""
+"""Relative error of a source view's depth at which the view counts for 1 / e."""
 
 LEAST_ANGLE = 0.002
-"""Radians between two rays below which neither is the better one: a third of a pixel."""
+"""Angle between two rays, in radians, below which neither is the better one: a third of a pixel."""
 
 MARGIN = 1.1
-"""What moves is looked for in boxes this much larger: labels are tight, depth is not."""
+"""Factor by which boxes are enlarged to find what moves: labels are tight, depth is not."""
 
 Maps = Mapping[str, np.ndarray]
-"""(H, W, ...) by camera."""
+"""Arrays (H, W, ...) by the name of their camera."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def weigh(
     source: Camera,
     known: np.ndarray,  # [H, W] metres, 0 = none
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How much a source view has to say about points of a target's surface.
+    """Weigh a source view's evidence at points of a target's surface.
 
     Args:
         points: in the world, metres.
@@ -164,9 +164,9 @@ def weigh(
     depth = known[rows, columns]
     error = depth / z[inside] - 1
     agreed = (depth > 0) & (np.abs(error) < 3 * TOLERANCE)
-    seen = inside[agreed]
-    rays = [points[seen] - view.centre for view in (target, source)]
+    indices = inside[agreed]
+    rays = [points[indices] - view.centre for view in (target, source)]
     lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
     angle = np.linalg.norm(np.cross(*rays), axis=1) / (lengths[0] * lengths[1])
     weights = np.exp(-((error[agreed] / TOLERANCE) ** 2)) / (angle + LEAST_ANGLE) ** 2
-    return seen, uv[seen], weights
+    return indices, uv[indices], weights

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class DepthModel(Protocol):
-    """Gives the source views of a frame their depth."""
+    """A source of depth for the source views of a frame."""
 
     parameters: int
-    """Learned ones."""
+    """Number of learned values; 0 without a network."""
 
     def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
         """(H, W) float32 metres by camera, 0 = none."""
@@ -73,7 +73,7 @@ class NetworkDepth(ABC):
 
     @property
     def parameters(self) -> int:
-        """How many numbers it learned."""
+        """The number of values that the network has learned."""
         return sum(parameter.numel() for parameter in self.model.parameters())
 
     @abstractmethod
@@ -132,8 +132,8 @@ class VggtDepth(NetworkDepth):
         from geoevs.geometry.vggt import resize_image
 
         size = self.model.config.nearest_size(*images.shape[1:3])
-        shown = np.stack([resize_image(image.astype(np.float32), size) for image in images])
-        batch = torch.from_numpy(shown).permute(0, 3, 1, 2)
+        inputs = np.stack([resize_image(image.astype(np.float32), size) for image in images])
+        batch = torch.from_numpy(inputs).permute(0, 3, 1, 2)
         with torch.inference_mode():
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
         return tuple(maps[0].cpu().numpy() for maps in prediction)

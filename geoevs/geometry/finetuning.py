@@ -48,7 +48,7 @@ FAR = 200.0
 
 DARKEST, BRIGHTEST = 0.7, 1.3  # exposures that a frame is trained at
 VIEWS = 3
-"""Of a frame that one step sees; the cost of global attention rises with their square."""
+"""Views of a frame that one step sees; the cost of global attention rises with their square."""
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,10 @@ def complete_depth(
     """
     shape = camera.height, camera.width
     index = zbuffer(points, camera, visibility="footprint").index
-    seen = index >= 0
-    if np.count_nonzero(seen) < 3:
+    hits = index >= 0
+    if np.count_nonzero(hits) < 3:
         return np.zeros(shape, np.float32)
-    points = points[index[seen]]
+    points = points[index[hits]]
     uv, depth = project_points(points, camera)
     inverse = 1.0 / depth
     focal = camera.K[[0, 1], [0, 1]]
@@ -62,7 +62,7 @@ def complete_depth(
     filled[surface] = smooth
 
     colours = cv2.GaussianBlur(image, (0, 0), BLUR) * COLOUR_REACH
-    candidates = np.hstack([uv / focal, colours[seen]])
+    candidates = np.hstack([uv / focal, colours[hits]])
     queries = np.hstack([grid / focal, colours.reshape(-1, 3)])
     # What shows above the horizon stands higher than the camera.
     rises = _upward(grid, camera) > 0
@@ -72,14 +72,14 @@ def complete_depth(
             usable = slice(None)
         filled[pixels] = _farthest_of_nearest(candidates[usable], inverse[usable], queries[pixels])
     depth = (1.0 / filled).reshape(shape).astype(np.float32)
-    return np.where(lidar_reach(seen, camera) > 0, depth, np.float32(0))
+    return np.where(lidar_reach(hits, camera) > 0, depth, np.float32(0))
 
 
 def lidar_reach(
-    seen: np.ndarray,  # [H, W] bool: pixels that hold a LiDAR point
+    hits: np.ndarray,  # [H, W] bool: pixels that hold a LiDAR point
     camera: Camera,
 ) -> np.ndarray:
-    """How far LiDAR may decide about the pixels of a view.
+    """Weights of LiDAR against a network's depth, by pixel: it decides near its points alone.
 
     A LiDAR that looks ahead meets the rim of a side camera's view, and none sees what stands
     closer than its range or below its lowest beam; what it saw there must not spread over the
@@ -89,7 +89,7 @@ def lidar_reach(
         (H, W) float32: 1 at points and above them, from there falling to 0 at REACH beside or
         below.
     """
-    covered = np.logical_or.accumulate(seen[::-1], axis=0)[::-1].astype(np.float32)
+    covered = np.logical_or.accumulate(hits[::-1], axis=0)[::-1].astype(np.float32)
     across, down = (2 * round(REACH * camera.K[axis, axis] / 2) + 1 for axis in (0, 1))
     covered = cv2.dilate(covered, np.ones((down, across), np.uint8))
     return cv2.blur(covered, (across, down), borderType=cv2.BORDER_REPLICATE)

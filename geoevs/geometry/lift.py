@@ -11,7 +11,7 @@ from geoevs.projection import unproject_depth
 from geoevs.scenes.camera import Camera
 
 LIFT_SCALE = 2
-"""Views are lifted at this multiple of the target's resolution: one point a pixel leaves cracks
+"""Multiple of the target's resolution at which views are lifted: one point a pixel leaves cracks
 that are no disocclusions."""
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LiftedViews:
-    """What methods that reproject keep of a scene.
+    """The source views of a scene and their depth, which methods that reproject keep.
 
     Args:
         views: the sources.

@@ -34,14 +34,14 @@ def write_point_maps(
     views = Views(scene, scene.cameras, needs=("lidar",))
     depths = {}
     for frame in views.frames:
-        found = model.depths(views, frame)
-        depths |= {_key(name, frame): found[name] for name in views.cameras}
+        maps = model.depths(views, frame)
+        depths |= {_key(name, frame): maps[name] for name in views.cameras}
         advance()
     write_arrays(path, depths)
 
 
 class PointMaps:
-    """What `write_point_maps` wrote, read one view at a time.
+    """The depth maps in a file of `write_point_maps`, read one view at a time.
 
     Raises:
         GeoEvsError: the file is missing or not whole.

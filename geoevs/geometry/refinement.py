@@ -75,7 +75,7 @@ def refiner_inputs(
     points: np.ndarray,  # [N, 3] LiDAR in the world
     camera: Camera,
 ) -> np.ndarray | None:
-    """What a refiner sees of a view.
+    """The maps of one view that a refiner reads.
 
     Args:
         image: the view.

@@ -58,7 +58,7 @@ class DepthHead(nn.Module):
         grid: tuple[int, int],
         size: tuple[int, int],
     ) -> Tensor:
-        """Predict.
+        """Predict log-depth and confidence from the tokens of four blocks.
 
         Args:
             tokens: the patches' tokens after four of the blocks, earliest first.
@@ -97,7 +97,7 @@ class ResidualUnit(nn.Module):
         self.conv2 = nn.Conv2d(features, features, 3, padding=1)
 
     def forward(self, image: Tensor) -> Tensor:  # [B, C, h, w] to the same
-        """(B, C, h, w)."""
+        """Rectify the map, and add the two convolutions of it; the shape (B, C, h, w) stays."""
         image = functional.relu(image)
         return image + self.conv2(functional.relu(self.conv1(image)))
 
@@ -118,7 +118,7 @@ class Fusion(nn.Module):
         level: Tensor,  # [B, C, h, w]
         size: tuple[int, int],
     ) -> Tensor:
-        """(B, C, *size)."""
+        """(B, C, *size) map: the level, added to the coarser ones and resized."""
         if coarser is not None:
             level = coarser + self.resConfUnit1(level)
         # Published the other way round; weights that sum to 1 commute with a 1 x 1 convolution,

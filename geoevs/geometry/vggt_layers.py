@@ -74,7 +74,7 @@ class Attention(nn.Module):
         tokens: Tensor,  # [B, N, C]
         tables: Tables | None,  # each [N, C / heads]
     ) -> Tensor:
-        """(B, N, C)."""
+        """(B, N, C) tokens, each mixed from all tokens of its batch entry."""
         qkv = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         queries, keys, values = qkv.unbind()
         queries, keys = self.q_norm(queries), self.k_norm(keys)
@@ -93,19 +93,19 @@ class Mlp(nn.Module):
         self.fc2 = nn.Linear(MLP_RATIO * dim, dim)
 
     def forward(self, tokens: Tensor) -> Tensor:  # [B, N, C] to the same
-        """(B, N, C)."""
+        """(B, N, C) tokens, each mapped by itself."""
         return self.fc2(functional.gelu(self.fc1(tokens)))
 
 
 class LayerScale(nn.Module):
-    """A learned gain a channel."""
+    """A learned gain for each channel."""
 
     def __init__(self, dim: int, initial: float) -> None:
         super().__init__()
         self.gamma = nn.Parameter(torch.full((dim,), initial))
 
     def forward(self, tokens: Tensor) -> Tensor:  # [B, N, C] to the same
-        """(B, N, C)."""
+        """(B, N, C) tokens times their channels' gains."""
         return tokens * self.gamma
 
 
@@ -136,7 +136,7 @@ class Block(nn.Module):
         tokens: Tensor,  # [B, N, C]
         tables: Tables | None = None,  # each [N, C / heads]
     ) -> Tensor:
-        """(B, N, C)."""
+        """(B, N, C) tokens after attention and MLP."""
         tokens = tokens + self.ls1(self.attn(self.norm1(tokens), tables))
         return tokens + self.ls2(self.mlp(self.norm2(tokens)))
 
@@ -149,7 +149,7 @@ class PatchEmbedding(nn.Module):
         self.proj = nn.Conv2d(3, dim, patch_size, patch_size)
 
     def forward(self, images: Tensor) -> Tensor:  # [B, 3, H, W], normalised
-        """(B, patches, C), row by row."""
+        """(B, patches, C) embeddings of the patches, row by row."""
         return self.proj(images).flatten(2).transpose(1, 2)
 
 
@@ -180,7 +180,7 @@ class DinoEncoder(nn.Module):
         self.norm = nn.LayerNorm(dim, 1e-6)
 
     def forward(self, images: Tensor) -> Tensor:  # [B, 3, H, W]
-        """(B, patches, C), row by row."""
+        """(B, patches, C) features of the patches, row by row."""
         patches = self.patch_embed(images)
         size = self.patch_embed.proj.stride[0]
         patches = patches + self._positions(images.shape[-2] // size, images.shape[-1] // size)

@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import importlib
+import inspect
 import os
 import shutil
 import sys
@@ -11,6 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -51,7 +53,7 @@ UNWATCHED_FOLDERS = ("__pycache__",)
 
 @dataclass(frozen=True)
 class Check:
-    """What came of one check.
+    """The result of one check of a contract.
 
     Args:
         name: what was checked.
@@ -73,7 +75,7 @@ class BrokenContractError(Exception):
 class WatchedViews(Views):
     """Views that remember which needs were read, and which were refused."""
 
-    def __init__(self, *arguments: object) -> None:
+    def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.used: set[str] = set()
         self.refused: set[str] = set()
@@ -90,7 +92,7 @@ class WatchedViews(Views):
 class Trial:
     """One method on the tiny scene, with what the checks learn of it on their way."""
 
-    def __init__(self, name: str, options: dict, folder: Path) -> None:
+    def __init__(self, name: str, options: dict[str, Any], folder: Path) -> None:
         self.name, self.options, self.folder = name, options, folder
         self.scene = write_tiny_scene(folder / "scene")
         self.source = self.scene.camera(SOURCE, FRAME)
@@ -123,12 +125,13 @@ class Trial:
             if part := _difference(self.render(camera), other.render(camera, FRAME)):
                 return part
         if masked := self.render_masked():
-            part = _difference(masked, other.render_masked(VIRTUAL, FRAME, KEEP))
+            copy = cast(MaskedAdapter, other)
+            part = _difference(masked, copy.render_masked(VIRTUAL, FRAME, KEEP))
             return f"{part} of a masked view" if part else ""
         return ""
 
 
-def check_adapter(name: str, options: dict) -> list[Check]:
+def check_adapter(name: str, options: dict[str, Any]) -> list[Check]:
     """Run every check on the method called `name`.
 
     Raises:
@@ -191,7 +194,7 @@ def _check_info(trial: Trial) -> None:
 
 
 def _check_imports(trial: Trial) -> None:
-    folder = Path(importlib.import_module(type(trial.method).__module__).__file__).parent
+    folder = Path(inspect.getfile(type(trial.method))).parent
     for path in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_bytes())):
             names = [alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")]
@@ -235,7 +238,7 @@ def _check_masked_view(trial: Trial) -> None:
         )
 
 
-def _check_rendering(rendering: Rendering, camera: Camera) -> None:
+def _check_rendering(rendering: object, camera: Camera) -> None:
     if not isinstance(rendering, Rendering):
         raise BrokenContractError(f"render returned {type(rendering).__name__}; return a Rendering")
     shape = camera.height, camera.width

@@ -24,7 +24,7 @@ from geoevs.methods.training import CombinedTraining, Inputs
 from geoevs.scenes.store import Scene
 
 STEPS = 8
-"""Of the trainings that are compared, where Settings has `steps`."""
+"""Steps of the trainings that are compared, where Settings has `steps`."""
 
 TRAIN = """
 import dataclasses, importlib, json, sys
@@ -70,7 +70,7 @@ class TrainingTrial:
         make_settings(f"the training of '{name}'", kind.Settings, self.values)
         self.files: list[Path] = []
 
-    def start(self, place: str) -> subprocess.Popen:
+    def start(self, place: str) -> subprocess.Popen[str]:
         """Train in a process of its own, into folders called `place`."""
         inputs = {
             "geometry": self.inputs.geometry,
@@ -221,7 +221,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return files
 
 
-def _start(code: str, arguments: Mapping[str, Any]) -> subprocess.Popen:
+def _start(code: str, arguments: Mapping[str, Any]) -> subprocess.Popen[str]:
     packages = {name: list(sys.modules[name].__path__) for name in PACKAGES if name in sys.modules}
     process = subprocess.Popen(
         [sys.executable, "-c", code],
@@ -230,13 +230,14 @@ def _start(code: str, arguments: Mapping[str, Any]) -> subprocess.Popen:
         stderr=subprocess.PIPE,
         text=True,
     )
+    assert process.stdin is not None
     process.stdin.write(json.dumps({"packages": packages, **arguments}))
     process.stdin.close()
     process.stdin = None
     return process
 
 
-def _finish(process: subprocess.Popen) -> None:
+def _finish(process: subprocess.Popen[str]) -> None:
     _, errors = process.communicate()
     if process.returncode:
         last = errors.strip().splitlines()[-1:] or [f"exit code {process.returncode}"]

@@ -34,7 +34,7 @@ NEEDS = ("lidar", "tracks", "sfm", "training")
 
 @dataclass(frozen=True)
 class MethodInfo:
-    """What a method says of itself; tables show all but the citation.
+    """A method's description of itself; tables show all but the citation.
 
     Args:
         name: as people write it, such as `Street Gaussians`.
@@ -53,7 +53,7 @@ class MethodInfo:
 
 @dataclass(frozen=True)
 class Budget:
-    """What a fit may spend: `seconds` of wall time (None = as the method sees fit), `threads`.
+    """The limits of a fit: `seconds` of wall time (None: as long as the method likes), `threads`.
 
     The method keeps to it; no step is stopped that does not, but its costs show.
     """
@@ -64,7 +64,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit made: number of primitives, of learned parameters, and a note for the reader.
+    """The outcome of a fit: number of primitives, of learned parameters, and a note for readers.
 
     `training_seconds` are those of the trainings whose networks the fit was given, which are no
     part of the fit; None where nothing was trained, or nobody knows how long.
@@ -107,7 +107,11 @@ class Views:
         return need in self._needs
 
     def camera(self, name: str, frame: int) -> Camera:
-        """A source camera's calibration."""
+        """The calibration and pose of a source camera in a frame.
+
+        Raises:
+            GeoEvsError: the split does not allow this camera, or the scene lacks the frame.
+        """
         self._allow(name)
         return self._scene.camera(name, frame)
 
@@ -145,7 +149,7 @@ class Views:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Open what `save` wrote."""
+        """Open views that `save` wrote; all that the folder holds may be read."""
         scene = Scene(folder)
         return cls(scene, scene.cameras, NEEDS)
 

@@ -27,8 +27,8 @@ def find_methods() -> dict[str, str]:
 def find_trainings() -> dict[str, str]:
     """The name of every method that trains beforehand, and the module of its training."""
     methods = find_methods()
-    found = find_plugins("training", *FOLDERS)
-    return {name: module for name, module in found.items() if name in methods}
+    trainings = find_plugins("training", *FOLDERS)
+    return {name: module for name, module in trainings.items() if name in methods}
 
 
 def check_free_name(name: str) -> None:

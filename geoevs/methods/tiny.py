@@ -37,12 +37,12 @@ def tiny_camera(name: str, yaw: float, centre: np.ndarray) -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = [[s, 0, c], [-c, 0, s], [0, -1, 0]]
     pose[:3, 3] = centre
-    K = [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     return Camera(K, pose, HEIGHT, WIDTH, name)
 
 
 def tiny_truth(camera: Camera) -> Truth:
-    """What a camera sees: (H, W, 3) uint8, and (H, W) float32 depth in metres."""
+    """Exact view of the tiny scene: (H, W, 3) uint8, and (H, W) float32 depth in metres."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel(), np.ones(rows.size)], axis=1)
     # With z = 1 in the camera, the distance along a ray is its depth.

@@ -7,13 +7,13 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import link_file, read_json
 
 FAILURE_FILE = "failure.json"
-"""In place of networks: why their training failed."""
+"""The file that says why a training failed; it lies in place of the networks."""
 
 SECONDS_FILE = "seconds.json"
-"""How long networks in a folder were trained, by training."""
+"""The file that says how long networks in a folder were trained, by training."""
 
 GEOMETRY_FILE = "geometry.safetensors"
-"""The depth network's weights beside networks that learned from its depth."""
+"""The file of the depth network's weights, beside networks that learned from its depth."""
 
 
 def read_trained(folder: Path) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def read_trained(folder: Path) -> dict[str, Any]:
 
 
 def seconds_file(networks: Path) -> Path:
-    """What says how long networks, a folder or one file, were trained.
+    """The path of the file that says how long networks, a folder or one file, were trained.
 
     It lies beside them and not in their settings, because no two trainings share it.
     """

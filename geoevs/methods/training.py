@@ -15,15 +15,16 @@ from geoevs.core.settings import check_settings_class
 from geoevs.scenes.store import Scene
 
 PARTITIONS = ("train", "clips")
-"""Whose scenes a training may have. A frame may be in both: nothing is scored on either."""
+"""The partitions whose scenes a training may have. A frame may be in both: nothing is scored on
+either."""
 
 READS = ("point-maps", "mask-poses", "geometry", "prior")
-"""What a training may read besides scenes; it declares what it does (see Inputs)."""
+"""The names of all that a training may read besides scenes; it declares those that it does."""
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a training reads besides its scenes; None or empty where it did not declare it.
+    """Inputs of a training besides its scenes; None or empty where it did not declare them.
 
     Args:
         point_maps: for `prepare`: the depth of the scene's recorded views (`point-maps`).
@@ -45,14 +46,15 @@ class Inputs:
 
 
 class Training(Protocol):
-    """How a method learns beforehand; its class is called `Training` and takes no arguments."""
+    """A method's way to learn beforehand; its class is called `Training` and takes no arguments."""
 
-    Settings: ClassVar[type]
+    Settings: ClassVar[type[Any]]
     """A dataclass: the schema and the defaults of the method's section under `trainings`."""
     partition: ClassVar[str]
-    """Whose scenes it learns from, one of PARTITIONS."""
+    """The partition whose scenes it learns from, one of PARTITIONS."""
     reads: ClassVar[tuple[str, ...]]
-    """What else it reads, of READS. One that starts from a `prior` has a setting of that name."""
+    """The other things that it reads, of READS (see Inputs). One that starts from a `prior` has a
+    setting of that name."""
 
     def prepare(self, scene: Scene, inputs: Inputs, out: Path) -> None:
         """Write what is learned from one scene to the file `out`, the same for all variants."""
@@ -95,7 +97,7 @@ class CombinedTraining(Protocol):
         ...
 
 
-def check_training_class(kind: type, where: str) -> None:
+def check_training_class(kind: type[Any], where: str) -> None:
     """Check that a class keeps the contract, as far as can be told without running it.
 
     Args:

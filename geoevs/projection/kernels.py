@@ -4,26 +4,34 @@ Every path does the same float64 operations in the same order, so that all give 
 no fused multiply-adds, no reciprocals in place of divisions, no matrix products.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numba
 import numpy as np
 
 from geoevs.core.compiled import cached_njit
 from geoevs.scenes.camera import Camera
 
+if TYPE_CHECKING:
+    import torch  # importing it costs seconds, so only those who hold tensors pay
+
+Numbers = tuple[float, ...]
+"""A camera as `lens_of` or `placing_of` gives it."""
+
 # Points are projected a block at a time, so that coordinates, pixels and depths (36 kB) stay in
 # the L1 cache between the loops below, and each loop is simple enough to become SIMD code.
 BLOCK = 1024
 
 
-def lens_of(camera: Camera) -> tuple[float, ...]:
+def lens_of(camera: Camera) -> Numbers:
     """A camera as 18 numbers: camera_from_world by rows, fx, cx, fy, cy, width, height."""
     K = camera.K
     intrinsics = (K[0, 0], K[0, 2], K[1, 1], K[1, 2], camera.width, camera.height)
     return tuple(map(float, (*camera.camera_from_world[:3].ravel(), *intrinsics)))
 
 
-def project_columns(px, py, pz, lens):
-    """World coordinates to (u, v, depth): scalars, arrays or tensors, whatever they may hold."""
+def project_columns(px: Any, py: Any, pz: Any, lens: Numbers) -> tuple[Any, Any, Any]:
+    """(u, v, depth) of world coordinates: scalars, arrays or tensors, whatever they may hold."""
     x = lens[0] * px + lens[1] * py + lens[2] * pz + lens[3]
     y = lens[4] * px + lens[5] * py + lens[6] * pz + lens[7]
     z = lens[8] * px + lens[9] * py + lens[10] * pz + lens[11]
@@ -36,7 +44,7 @@ _project = numba.njit(project_columns, error_model="numpy")
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def project_numba(points, lens):
+def project_numba(points: np.ndarray, lens: Numbers) -> tuple[np.ndarray, np.ndarray]:
     """(uv [N, 2], depth [N]); uv is NaN where the depth is not positive and finite."""
     uv = np.empty((len(points), 2))
     depth = np.empty(len(points))
@@ -51,7 +59,7 @@ def project_numba(points, lens):
 
 
 @numba.njit(error_model="numpy")
-def _split_columns(points, xs, ys, zs):
+def _split_columns(points: np.ndarray, xs: np.ndarray, ys: np.ndarray, zs: np.ndarray) -> None:
     """[n, 3] to three columns: apart from the arithmetic, which then runs on whole vectors."""
     for i in range(len(points)):
         xs[i] = points[i, 0]
@@ -60,7 +68,14 @@ def _split_columns(points, xs, ys, zs):
 
 
 @numba.njit(error_model="numpy")
-def _find_pixels(xs, ys, zs, lens, pixel, depth):
+def _find_pixels(
+    xs: np.ndarray,
+    ys: np.ndarray,
+    zs: np.ndarray,
+    lens: Numbers,
+    pixel: np.ndarray,
+    depth: np.ndarray,
+) -> None:
     """The flat pixel and depth of each point; H * W and infinity for those outside the view."""
     width, height = lens[16], lens[17]
     for i in range(len(xs)):
@@ -73,7 +88,7 @@ def _find_pixels(xs, ys, zs, lens, pixel, depth):
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def zbuffer_numba(points, lens):
+def zbuffer_numba(points: np.ndarray, lens: Numbers) -> tuple[np.ndarray, np.ndarray]:
     """(index [H, W] or -1, depth [H, W] or 0) of the front-most points."""
     shape = int(lens[17]), int(lens[16])
     pixels = shape[0] * shape[1]
@@ -96,15 +111,15 @@ def zbuffer_numba(points, lens):
     return index[:pixels].reshape(shape), nearest[:pixels].reshape(shape)
 
 
-def placing_of(camera: Camera) -> tuple[float, ...]:
+def placing_of(camera: Camera) -> Numbers:
     """A camera the other way round: world_from_camera by rows, fx, cx, fy, cy."""
     K = camera.K
     intrinsics = (K[0, 0], K[0, 2], K[1, 1], K[1, 2])
     return tuple(map(float, (*camera.world_from_camera[:3].ravel(), *intrinsics)))
 
 
-def unproject_columns(column, row, z, placing):
-    """Pixels' centres at depth z to world coordinates: scalars, arrays or tensors."""
+def unproject_columns(column: Any, row: Any, z: Any, placing: Numbers) -> tuple[Any, Any, Any]:
+    """The world coordinates of pixels' centres at depth z: scalars, arrays or tensors."""
     x = (column + 0.5 - placing[13]) / placing[12] * z
     y = (row + 0.5 - placing[15]) / placing[14] * z
     px = placing[0] * x + placing[1] * y + placing[2] * z + placing[3]
@@ -117,7 +132,7 @@ _unproject = numba.njit(unproject_columns, error_model="numpy")
 
 
 @cached_njit(nogil=True, error_model="numpy")
-def unproject_numba(depth, placing):
+def unproject_numba(depth: np.ndarray, placing: Numbers) -> tuple[np.ndarray, np.ndarray]:
     """(points [M, 3], flat pixels [M]) of the pixels whose depth is positive and finite."""
     height, width = depth.shape
     points = np.empty((height * width, 3))
@@ -134,7 +149,9 @@ def unproject_numba(depth, placing):
     return points[:count], pixels[:count]
 
 
-def unproject_torch(depth, placing):
+def unproject_torch(
+    depth: "torch.Tensor", placing: Numbers
+) -> tuple["torch.Tensor", "torch.Tensor"]:
     """`unproject_numba` in torch ops, on the depth's device."""
     import torch
 
@@ -145,22 +162,24 @@ def unproject_torch(depth, placing):
     return torch.stack(unproject_columns(column, row, flat[pixels], placing), 1), pixels
 
 
-def project_torch(points, lens):
+def project_torch(points: "torch.Tensor", lens: Numbers) -> tuple["torch.Tensor", "torch.Tensor"]:
     """`project_numba` in torch ops, on the points' device."""
     import torch
 
-    u, v, depth = project_columns(*points.double().unbind(1), lens)
+    px, py, pz = points.double().unbind(1)
+    u, v, depth = project_columns(px, py, pz, lens)
     ahead = (depth > 0) & (depth < torch.inf)
     return torch.stack([u, v], 1).masked_fill(~ahead[:, None], torch.nan), depth
 
 
-def zbuffer_torch(points, lens):
+def zbuffer_torch(points: "torch.Tensor", lens: Numbers) -> tuple["torch.Tensor", "torch.Tensor"]:
     """`zbuffer_numba` in torch ops, on the points' device; a minimum has no order to depend on."""
     import torch
 
     width, height = lens[16], lens[17]
     pixels = int(width) * int(height)
-    u, v, z = project_columns(*points.double().unbind(1), lens)
+    px, py, pz = points.double().unbind(1)
+    u, v, z = project_columns(px, py, pz, lens)
     valid = (z > 0) & (z < torch.inf) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     order = valid.nonzero().squeeze(1)  # [M] indices of the valid points, rising
     z = z[order]

@@ -10,7 +10,7 @@ def zbuffer_reference(
     points: np.ndarray,  # [N, 3]
     camera: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `geoevs.projection.zbuffer` gives: project, filter, sort, take the first of each pixel.
+    """`geoevs.projection.zbuffer` in plain steps: project, filter, sort, keep each pixel's first.
 
     Args:
         points: (N, 3) world positions in metres.
@@ -21,7 +21,8 @@ def zbuffer_reference(
     """
     points = np.asarray(points, np.float64)
     with np.errstate(all="ignore"):  # behind the camera, at infinity and NaN: filtered below
-        u, v, z = project_columns(*points.T, lens_of(camera))
+        px, py, pz = points.T
+        u, v, z = project_columns(px, py, pz, lens_of(camera))
         in_frame = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
         order = np.flatnonzero((z > 0) & (z < np.inf) & in_frame)
     pixel = v[order].astype(np.int64) * camera.width + u[order].astype(np.int64)

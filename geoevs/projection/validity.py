@@ -10,7 +10,7 @@ no gradient. All paths, on any device, agree bit for bit.
 
 import dataclasses
 import sys
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -31,6 +31,7 @@ from geoevs.scenes.scene import Frame, PointCloud
 
 if TYPE_CHECKING:
     import torch  # importing it costs seconds, so only those who hold tensors pay
+    from typing_extensions import TypeIs
 
 Array = TypeVar("Array", np.ndarray, "torch.Tensor")
 
@@ -47,10 +48,10 @@ FOOTPRINT_RADIUS = 2
 FOOTPRINT_TOLERANCE = 0.2
 
 
-class ZBuffer(NamedTuple):
+class ZBuffer(NamedTuple, Generic[Array]):
     """The front-most point of every pixel."""
 
-    index: Array  # [H, W] int64, -1 = none
+    index: Array  # type: ignore[assignment]  # [H, W] int64, -1 = none; hides tuple.index
     depth: Array  # [H, W] float64 metres along the optical axis, 0 = none
 
     @property
@@ -59,7 +60,7 @@ class ZBuffer(NamedTuple):
         return self.index >= 0
 
 
-class Raster(NamedTuple):
+class Raster(NamedTuple, Generic[Array]):
     """Points' values in the pixels of a camera."""
 
     image: Array  # [H, W, C], zero where no point is
@@ -136,7 +137,7 @@ def zbuffer(
     points: Array,  # [N, 3]
     camera: Camera,
     visibility: str = "pixel",
-) -> ZBuffer:
+) -> ZBuffer[Array]:
     """The front-most point of every pixel: the validity rule (section 3.2, the operator R).
 
     Args:
@@ -160,14 +161,16 @@ def zbuffer(
             f"there is no visibility '{visibility}'; {did_you_mean(visibility, VISIBILITIES)}"
         )
     _check_points(points)
-    tensor = _is_tensor(points)
-    if tensor and points.device.type != "cpu":
-        buffer = ZBuffer(*zbuffer_torch(points.detach(), lens_of(camera)))
-        return _drop_leaks_torch(buffer) if visibility == "footprint" else buffer
-    buffer = ZBuffer(*zbuffer_numba(_readable(points), lens_of(camera)))
+    lens = lens_of(camera)
+    if _is_tensor(points) and points.device.type != "cpu":
+        on_device = ZBuffer(*zbuffer_torch(points.detach(), lens))
+        return _drop_leaks_torch(on_device) if visibility == "footprint" else on_device
+    buffer = ZBuffer(*zbuffer_numba(_readable(points), lens))
     if visibility == "footprint":
         buffer = _drop_leaks(buffer)
-    return ZBuffer(*map(sys.modules["torch"].from_numpy, buffer)) if tensor else buffer
+    if _is_tensor(points):
+        return ZBuffer(*map(sys.modules["torch"].from_numpy, buffer))
+    return buffer
 
 
 def rasterize_points(
@@ -175,7 +178,7 @@ def rasterize_points(
     values: Array,  # [N, C]
     camera: Camera,
     visibility: str = "pixel",
-) -> Raster:
+) -> Raster[Array]:
     """Write the values of the valid points into an image that is zero elsewhere (section 3.2).
 
     Args:
@@ -287,7 +290,7 @@ def _check_points(points: Array) -> None:
         raise GeoEvsError(f"points have shape {tuple(points.shape)}; reshape them to (N, 3)")
 
 
-def _is_tensor(array: Array) -> bool:
+def _is_tensor(array: object) -> "TypeIs[torch.Tensor]":
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(array, torch.Tensor)
 
@@ -296,14 +299,16 @@ def _readable(points: Array) -> np.ndarray:
     """The points as the kernel reads them: float32 and float64 as they are, others as float64."""
     if _is_tensor(points):
         torch = sys.modules["torch"]
-        points = points.detach()
-        native = points.dtype in (torch.float32, torch.float64)
-        points = (points if native else points.double()).numpy()
-    native = points.dtype in (np.float32, np.float64)
-    return np.ascontiguousarray(points if native else points.astype(np.float64))
+        tensor = points.detach()
+        native = tensor.dtype in (torch.float32, torch.float64)
+        array = (tensor if native else tensor.double()).numpy()
+    else:
+        array = points
+    native = array.dtype in (np.float32, np.float64)
+    return np.ascontiguousarray(array if native else array.astype(np.float64))
 
 
-def _drop_leaks(buffer: ZBuffer) -> ZBuffer:
+def _drop_leaks(buffer: ZBuffer[np.ndarray]) -> ZBuffer[np.ndarray]:
     """The footprint rule: no point far behind the nearest one of the window around it."""
     solid = np.where(buffer.index >= 0, buffer.depth, np.inf)
     side = 2 * FOOTPRINT_RADIUS + 1
@@ -312,7 +317,7 @@ def _drop_leaks(buffer: ZBuffer) -> ZBuffer:
     return ZBuffer(np.where(hidden, -1, buffer.index), np.where(hidden, 0.0, buffer.depth))
 
 
-def _drop_leaks_torch(buffer: ZBuffer) -> ZBuffer:
+def _drop_leaks_torch(buffer: "ZBuffer[torch.Tensor]") -> "ZBuffer[torch.Tensor]":
     """`_drop_leaks` in torch ops."""
     torch = sys.modules["torch"]
     solid = buffer.depth.masked_fill(buffer.index < 0, torch.inf)

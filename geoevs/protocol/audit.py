@@ -56,9 +56,9 @@ TWINS: dict[str, tuple[type[MaskedMean], str]] = {
 constant."""
 
 SHARES = (1.0, 0.5, 0.2, 0.1, 0.05)
-"""Of the reference's pixels, nested."""
+"""Shares of the reference's pixels, nested."""
 SUPPORTS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005)
-"""Of a picture's pixels, nested, drawn at random."""
+"""Shares of a picture's pixels, nested, drawn at random."""
 
 CELL = ((0, 0), (0, 1), (1, 0), (1, 1))
 SURFACE = 0.05

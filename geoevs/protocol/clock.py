@@ -11,7 +11,7 @@ from numba.core.event import TimingListener, install_listener
 
 @dataclass
 class Spent:
-    """What a timed block took, known when it has ended: seconds of its own, and of compilation."""
+    """Seconds of a timed block, known when it has ended: its own, and those of compilation."""
 
     seconds: float = 0.0
     compiling: float = 0.0

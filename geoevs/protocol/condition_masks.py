@@ -38,7 +38,7 @@ class RawReprojection:
 
 @dataclass(frozen=True)
 class ConditionMask:
-    """How one masked target's condition map is degraded.
+    """The degradation of one masked target's condition map (section 3.4).
 
     Args:
         keep: the validity mask of the target's mask camera; the condition is hidden elsewhere.

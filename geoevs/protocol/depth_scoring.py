@@ -21,16 +21,16 @@ PRETRAINED, FINE_TUNED, CONTROL = "pretrained", "fine-tuned", "control"
 """Stages: a network before and after, and LiDAR completion, which learns nothing."""
 
 SCALES: dict[str, tuple[str, ...]] = {"none": (), "lidar": ("lidar",)}
-"""What fits the scale of predicted depth, and what a model must see for it."""
+"""The ways to fit the scale of predicted depth, and the needs (see MethodInfo) of each."""
 
 FARTHEST = 80.0
-"""Metres up to which depth is scored, as on KITTI."""
+"""Largest depth that is scored, metres, as on KITTI."""
 
 DENSE, LIDAR = "dense", "lidar"
-"""Where the truth is from."""
+"""The two kinds of truth."""
 
 COVERAGE = "coverage"
-"""The metric that says on how much of the truth the others are."""
+"""The metric that is the share of the truth's pixels on which the others are computed."""
 
 DEPTH_SCORE_TYPES = {
     "dataset": "string",
@@ -59,7 +59,7 @@ class Candidate(NamedTuple):
 
     @property
     def scales(self) -> list[str]:
-        """Completed LiDAR has no scale but its own."""
+        """The SCALES that it is scored with; completed LiDAR has its own alone."""
         return ["lidar"] if isinstance(self.model, LidarDepth) else list(SCALES)
 
 

@@ -23,12 +23,12 @@ def _info(name: str, options: Mapping[str, Any]) -> MethodInfo:
     method = MethodEntry.parse(name, {}, 0).method
     if method in ORACLES:
         return MethodInfo(method.capitalize(), CONTROL, extra_prior="the answer")
-    found = MethodInfo(method, paradigm="", extra_prior="")
+    info = MethodInfo(method, paradigm="", extra_prior="")
     # A method's module may raise anything, or exit: its fits fail and say why.
     with suppress(Exception, SystemExit):
-        found = method_class(method).info
-        found = make_method(method, dict(options)).info  # which options may change
-    return found if isinstance(found, MethodInfo) else MethodInfo(method, "", "")
+        info = method_class(method).info
+        info = make_method(method, dict(options)).info  # which options may change
+    return info if isinstance(info, MethodInfo) else MethodInfo(method, "", "")
 
 
 def _as_text(info: MethodInfo) -> dict[str, str]:

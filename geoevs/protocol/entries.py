@@ -16,10 +16,10 @@ FLOOR = "mean-colour"
 OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
 FINE = {"status": OK, "stage": "", "reason": "", "log": ""}
-"""How a step ended that went well (see `failed`)."""
+"""The outcome of a step that went well (see `failed`)."""
 
 OUTCOME = {*FINE, "threads", "peak_memory", "gpu_memory"}
-"""What `fit.json` and `render.json` say of every set of sources, besides costs."""
+"""Keys that `fit.json` and `render.json` have for every set of sources, besides costs."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ def label_of(method: str, variant: str = DEFAULT, seed: int = 0) -> str:
 
 
 def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
-    """How a step ended that failed: at which stage, why in one line, and where its output is."""
+    """The outcome of a step that failed: its stage, the reason in one line, and its log."""
     return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
 
 
 def cause(outcome: dict[str, Any]) -> dict[str, Any]:
-    """What rows say of why they have no value: stage, reason and log, empty if all went well."""
+    """The part of an outcome that rows take: stage, reason and log, all empty if it went well."""
     return {name: outcome[name] for name in ("stage", "reason", "log")}
 
 

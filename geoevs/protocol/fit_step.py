@@ -13,7 +13,7 @@ from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene
 
 WORTH_A_NOTE = 0.1
-"""Seconds of compilation, at least."""
+"""Fewest seconds of compilation that a note mentions."""
 
 
 def fit_step(

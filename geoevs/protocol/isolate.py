@@ -27,7 +27,7 @@ class MethodFailedError(Exception):
 
 @dataclass(frozen=True)
 class Usage:
-    """What a child process used: peak resident and peak GPU memory in bytes."""
+    """The memory that a child process used: peak resident and peak GPU memory, in bytes."""
 
     peak_memory: int
     gpu_memory: int
@@ -40,7 +40,8 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
-"""Read by PyTorch, by NumPy's linear algebra, and, each its own, by Numba and OpenCV."""
+"""Variables that bound threads. PyTorch and NumPy's linear algebra read the first three, Numba and
+OpenCV one each."""
 
 
 def run_isolated(

@@ -46,19 +46,25 @@ class MaskedMean(ABC):
         target: np.ndarray,  # [H, W, C]
         mask: np.ndarray,  # [H, W] bool
     ) -> None:
-        """Add one image."""
+        """Add one image; values outside the mask do not count.
+
+        Args:
+            preds: the picture to score.
+            target: the truth, of the same shape; `data_range` is said of both.
+            mask: the valid pixels, all channels of each.
+        """
 
     def compute(self) -> float:
         """The metric over everything added; NaN where nothing was."""
         return self.finish(self.total / self.count) if self.count else math.nan
 
     def finish(self, mean: float) -> float:
-        """From the mean to the metric's own unit."""
+        """The metric in its own unit, from the mean over all that was added."""
         return mean
 
     @classmethod
     def missing(cls) -> str:
-        """Why this machine cannot compute it, in one sentence; empty where it can."""
+        """The reason why this machine cannot compute it, in one sentence; empty where it can."""
         return ""
 
 
@@ -338,7 +344,7 @@ class LPIPS(MaskedMean):
 
     @classmethod
     def missing(cls) -> str:
-        """Why this machine cannot compute it."""
+        """The reason why this machine cannot compute it, in one sentence; empty where it can."""
         return missing_weights("lpips", "alexnet-owt-7be5be79.pth")
 
     def update(

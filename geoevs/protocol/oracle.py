@@ -16,7 +16,7 @@ from geoevs.run import Answers
 def oracle_step(
     method: str, run: str, dataset: str, scene: str, sources: str, folder: str
 ) -> dict[str, Any]:
-    """What `render_step` does for methods, for one of ORACLES: they alone open a scene's answers.
+    """Render targets by one of ORACLES, as `render_step` does by methods; only oracles see answers.
 
     Masked targets show the view without the mask.
 

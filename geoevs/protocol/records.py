@@ -23,7 +23,9 @@ def write_records(path: Path, records: Mapping[str, Any]) -> None:
 
 
 class Records(Generic[Record]):
-    """What `write_records` wrote, read one target at a time; subclasses say which dataclass.
+    """The records in a file of `write_records`, read one target at a time.
+
+    Subclasses set `kind`, the dataclass of a record.
 
     Raises:
         GeoEvsError: the file is missing or not whole.

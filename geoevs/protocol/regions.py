@@ -10,7 +10,7 @@ from geoevs.protocol.reference import SparseReference
 
 @dataclass(frozen=True)
 class Answer:
-    """What one region of a target should look like, and which of its pixels count."""
+    """The true pixels of one region of a target, and the mask of those that count."""
 
     target: np.ndarray  # [H, W, 3]
     mask: np.ndarray  # [H, W] bool
@@ -27,7 +27,7 @@ def regions(
         dense: (H, W, 3) truth, where known.
         keep: the share of reference pixels to keep.
     """
-    found = {}
+    answers = {}
     everywhere = None if dense is None else np.ones(dense.shape[:2], bool)
     if reference is not None:
         image, mask = reference.image(), reference.mask(keep)
@@ -37,14 +37,14 @@ def regions(
             "reference-footprint": reference.footprint_mask(keep),
         }
         ratio = float(mask.mean())
-        found |= {name: Answer(image, region, ratio) for name, region in masks.items()}
+        answers |= {name: Answer(image, region, ratio) for name, region in masks.items()}
         if dense is not None:
-            found["dense"] = Answer(dense, everywhere, ratio)
-            found["dense-new"] = Answer(dense, ~reference.reprojected, ratio)
-            found["dense-supported"] = Answer(dense, reference.reprojected, ratio)
+            answers["dense"] = Answer(dense, everywhere, ratio)
+            answers["dense-new"] = Answer(dense, ~reference.reprojected, ratio)
+            answers["dense-supported"] = Answer(dense, reference.reprojected, ratio)
     elif dense is not None:
-        found["dense"] = Answer(dense, everywhere, 1.0)
-    return found
+        answers["dense"] = Answer(dense, everywhere, 1.0)
+    return answers
 
 
 def masked_regions(
@@ -58,7 +58,7 @@ def masked_regions(
         dense: (H, W, 3) truth, where known.
         keep: the share of reference pixels to keep.
     """
-    found = {}
+    answers = {}
     ratio = float(mask.supported.mean())
     if dense is not None:
         pixels = {
@@ -68,8 +68,8 @@ def masked_regions(
             "dense-never": ~mask.reprojected,
             "dense-unsupported": ~mask.supported,
         }
-        found |= {name: Answer(dense, region, ratio) for name, region in pixels.items()}
+        answers |= {name: Answer(dense, region, ratio) for name, region in pixels.items()}
     if reference is not None:
         hidden = reference.mask(keep) & mask.removed
-        found["reference-removed"] = Answer(reference.image(), hidden, ratio)
-    return found
+        answers["reference-removed"] = Answer(reference.image(), hidden, ratio)
+    return answers

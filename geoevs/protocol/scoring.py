@@ -67,7 +67,7 @@ def score_method(
 def score_regions(
     names: Sequence[str], preds: np.ndarray | None, regions: dict[str, Answer]
 ) -> list[dict[str, Any]]:
-    """What metrics say of one picture, or of none: parts of rows.
+    """Score one picture by each metric: rows without the columns that say who rendered what.
 
     Args:
         names: of METRICS, each of one of the regions.
@@ -78,7 +78,7 @@ def score_regions(
 
 
 def describe(entry: MethodEntry, target: Target) -> dict[str, Any]:
-    """Who rendered what: parts of rows."""
+    """The columns that say who rendered what: the entrant, its seed, the target and its pose."""
     return {
         "method": entry.method,
         "variant": entry.variant,
@@ -109,7 +109,7 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
 
 
 def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
-    """What the method cost on this scene, one row for every set of sources."""
+    """Rows of the method's costs on this scene, one for every set of sources."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
         "training_seconds": math.nan,

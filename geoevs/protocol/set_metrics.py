@@ -35,7 +35,7 @@ def texture_features(image: np.ndarray) -> np.ndarray:
     neighbouring pixels, 0.5 log(mean(d^2) + e^2) and log(mean(|d|) + e). Blur lowers these,
     noise raises them, and holes pull the two apart.
     """
-    level = image.astype(np.float32)
+    level: np.ndarray = image.astype(np.float32)
     features = [level.mean(axis=(0, 1)), np.log(level.std(axis=(0, 1)) + DARKEST)]
     for _ in range(LEVELS):
         for axis in (0, 1):
@@ -183,7 +183,7 @@ class SetMetric:
     weights: tuple[str, str] | None = None
 
     def missing(self) -> str:
-        """Why this machine cannot compute it; empty where it can."""
+        """The reason why this machine cannot compute it; empty where it can."""
         return missing_weights(*self.weights) if self.weights else ""
 
 

@@ -16,17 +16,18 @@ from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 CLEAN = "clean"
-"""The group, and the kind, of what is not stressed; `targets` and `pixels` are of its renders."""
+"""Name of the group without stress, and of its kind. Stressors of the kinds `targets` and `pixels`
+are scored on its renders."""
 
 WORLD = "~"
-"""Stands between a scene's name and the option of its source that makes it another world."""
+"""Separator of a scene's name and the option of its source that makes it another world."""
 
 OUTCOME_FILE = "outcome.json"
 
 
 @dataclass(frozen=True)
 class Stress:
-    """What a method is given: a stressor at a level, and the draw of whatever is random in it.
+    """A stressor at a level, and the draw of all that is random in it.
 
     The draw also seeds the method's own randomness.
     """
@@ -191,7 +192,10 @@ def render_stresses(
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:
-    """What `stability_targets` needs of the section; other worlds have no poses of their own."""
+    """The part of the section that decides `stability_targets`.
+
+    Scenes of other worlds have no poses of their own, so their lists of levels are empty.
+    """
     poses = {
         name: [] if WORLD in scene else levels_of(name, settings) for name in ("lateral", "yaw")
     }

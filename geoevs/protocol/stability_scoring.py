@@ -26,8 +26,8 @@ MOVING, STILL = "dense-moving", "dense-still"
 """Regions inside boxes of the cars that drive, and outside of them."""
 
 SPREADS = ("seed_spread_supported", "seed_spread_new")
-"""Standard deviation over draws of a pixel's channels, of 1, where raw reprojection supports it
-and where not. Only generative methods have one without stress."""
+"""Metrics of the spread: the standard deviation over draws of a pixel's channels in [0, 1], where
+raw reprojection supports it and where not. Only generative methods have one without stress."""
 
 EDGE = 0.1  # of the farther one's inverse depth: the least break between two surfaces
 SKY = 1e-6  # its inverse depth, 1 / metres
@@ -136,7 +136,7 @@ def edge_distance(depth: np.ndarray) -> np.ndarray:
 
 
 def depth_edges(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where an outline runs between two neighbours: (H, W - 1) across and (H - 1, W) down, bool.
+    """Mask the outlines between neighbours: (H, W - 1) across and (H - 1, W) down, bool.
 
     Inverse depth is linear on a plane, so that a road seen at a grazing angle has no edges however
     fast its depth rises: only what is no continuation of either side counts.

@@ -22,12 +22,12 @@ from geoevs.scenes.scene import Frame, PointCloud
 from geoevs.scenes.store import Scene, write_scene
 
 USUAL_METRICS = ("sparse_psnr", "psnr", "psnr_supported", "psnr_new")
-"""What is asked under most stressors, and without stress."""
+"""Metrics that are computed under most stressors, and without stress."""
 
 FrameChange = Callable[[Frame], Frame]
 StoreChange = Callable[[Scene, float, np.random.Generator], FrameChange]
-"""From a clean scene, a level and what is random to the change of each of its frames; GeoEvsError
-where the scene cannot have that level."""
+"""Makes the change of every frame from a clean scene, a level and a random generator. It raises
+GeoEvsError where the scene cannot have that level."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from geoevs.scenes.virtual import virtual_camera, yaw_gap
 ALL_CAMERAS = "all-cameras"
 FRONT_SIDE = "front-side"
 MASKED = "masked-"
-"""Begins the split and the camera name of a masked target; what follows are those of the target
-whose view it shares."""
+"""Prefix of the split and of the camera name of a masked target. Behind it stand those of the
+target whose view it shares."""
 
 RECORDED_SPLITS = ("observed", "interpolation", f"{MASKED}observed")
 """Splits whose targets a camera recorded, so that its image is dense truth."""
@@ -71,7 +71,7 @@ class Target:
 
 
 def virtual_targets(targets: Sequence[Target]) -> list[Target]:
-    """Those that no camera recorded; masked ones share the view of another, so they are left out.
+    """The targets that no camera recorded; masked ones share the view of another and are left out.
 
     These are the ones that have a sparse reference, and truth that must be rendered.
     """

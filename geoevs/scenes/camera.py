@@ -10,7 +10,7 @@ RIGID_TOLERANCE = 1e-4
 
 
 def view_key(camera: str, frame: int) -> str:
-    """What a view is called in every folder of pictures: `<camera>/<frame>`.
+    """The name of a view in every folder of pictures: `<camera>/<frame>`.
 
     >>> view_key("front", 7)
     'front/000007'

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
@@ -115,7 +115,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What a scene is and where it comes from."""
+    """A scene's name, source, licence, rig and cameras."""
 
     name: str
     source: str
@@ -148,10 +148,12 @@ class Truth(NamedTuple):
 class SceneSource(Protocol):
     """A kind of driving data: the class `Source` in `geoevs/scenes/sources/<name>/source.py`.
 
-    It is made as `Source(height, width, **options)`; options come from the run's config.
+    Its options are keyword arguments; they come from the run's config.
     """
 
     has_truth: bool
+
+    def __init__(self, height: int, width: int, **options: Any) -> None: ...
 
     def check(self, scene: "SceneRef") -> None:
         """Refuse a scene, or a range of frames, that its options rule out; no data are looked at.
@@ -198,13 +200,13 @@ class SceneRef(NamedTuple):
 
     def holds(self, frame: int) -> bool:
         """Whether the range, if there is one, includes `frame`."""
-        return self.first is None or self.first <= frame <= self.last
+        return self.first is None or self.last is None or self.first <= frame <= self.last
 
     def overlaps(self, other: "SceneRef") -> bool:
         """Whether the two share a frame of the same scene."""
         if self.name != other.name:
             return False
-        if self.first is None or other.first is None:
+        if self.first is None or self.last is None or other.first is None or other.last is None:
             return True
         return self.first <= other.last and other.first <= self.last
 
@@ -223,7 +225,7 @@ def source_class(name: str) -> type[SceneSource]:
     return load_plugin("data source", name, find_sources(), "Source")
 
 
-def load_source(name: str, height: int, width: int, options: dict) -> SceneSource:
+def load_source(name: str, height: int, width: int, options: dict[str, Any]) -> SceneSource:
     """Make the data source called `name` for one resolution.
 
     Raises:

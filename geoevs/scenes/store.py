@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,7 @@ OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 POINT_FIELDS = [field.name for field in dataclasses.fields(PointCloud)]
 
 
-def camera_to_json(camera: Camera) -> dict:
+def camera_to_json(camera: Camera) -> dict[str, Any]:
     """One camera as nerfstudio's per-frame fields (OPENCV model, no distortion)."""
     pose = camera.world_from_camera @ OPENCV_FROM_OPENGL
     return {
@@ -51,14 +52,15 @@ def camera_to_json(camera: Camera) -> dict:
     }
 
 
-def camera_from_json(entry: dict, name: str, file: Path) -> Camera:
+def camera_from_json(entry: dict[str, Any], name: str, file: Path) -> Camera:
     """Inverse of `camera_to_json`; `file` is where the entry stands, for errors.
 
     Raises:
         GeoEvsError: a field is missing, or the calibration is impossible (see Camera).
     """
     try:
-        K = [[entry["fl_x"], 0, entry["cx"]], [0, entry["fl_y"], entry["cy"]], [0, 0, 1]]
+        rows = [[entry["fl_x"], 0, entry["cx"]], [0, entry["fl_y"], entry["cy"]], [0, 0, 1]]
+        K = np.array(rows, np.float64)
         pose = np.array(entry["transform_matrix"], np.float64) @ OPENCV_FROM_OPENGL
         return Camera(K, pose, entry["h"], entry["w"], name)
     except GeoEvsError as error:
@@ -186,7 +188,7 @@ class Scene:
         with whole_file(path):
             return pd.read_parquet(path)
 
-    def _entry(self, name: str, frame: int) -> dict:
+    def _entry(self, name: str, frame: int) -> dict[str, Any]:
         if name not in self.cameras:
             raise GeoEvsError(
                 f"scene '{self.info.name}' has no camera '{name}'; "

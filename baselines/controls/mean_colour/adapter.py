@@ -14,7 +14,7 @@ from geoevs.scenes.camera import Camera
 
 @dataclass
 class Method:
-    """Any method that uses what it saw must beat this one."""
+    """The mean colour of the source images, everywhere: methods that use more must beat it."""
 
     info: ClassVar[MethodInfo] = MethodInfo("Mean colour", paradigm="control")
     colour: np.ndarray = field(init=False)  # [3] float64 in [0, 1]
@@ -30,7 +30,7 @@ class Method:
         return FitReport(parameters=3)
 
     def render(self, camera: Camera, frame: int) -> Rendering:
-        """One colour, supported nowhere."""
+        """A view of the one colour, supported nowhere."""
         shape = camera.height, camera.width
         rgb = np.broadcast_to(self.colour.astype(np.float32), (*shape, 3)).copy()
         return Rendering(rgb, support=np.zeros(shape, bool))
@@ -45,12 +45,12 @@ class Method:
         return self.render(camera, frame)
 
     def save(self, folder: Path) -> None:
-        """Write the colour."""
+        """Write the mean colour as JSON."""
         write_json(folder / "colour.json", self.colour.tolist())
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read the colour."""
+        """Restore the method from the colour that `save` wrote."""
         method = cls()
         method.colour = np.array(read_json(folder / "colour.json"))
         return method

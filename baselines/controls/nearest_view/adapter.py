@@ -26,7 +26,7 @@ class Method:
     views: Views = field(init=False)
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
-        """Keep the source views."""
+        """Keep the source views; nothing is learned."""
         self.views = views
         return FitReport()
 
@@ -69,7 +69,7 @@ def _distance(candidate: Camera, camera: Camera) -> tuple[float, float]:
 
 
 def infinite_homography(source: Camera, target: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Where each target pixel lies in the source image if only the rotation counts.
+    """The place of each target pixel in the source image if only the rotation counts.
 
     Returns:
         (H, W, 2) float32 for `cv2.remap`, whose pixel centres are integers, clamped to the

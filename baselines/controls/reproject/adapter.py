@@ -21,7 +21,7 @@ Frames = Annotated[str, OneOf(FRAMES)]
 
 @dataclass
 class Method:
-    """What geometry alone explains: the condition map of Geo-EVS, by LiDAR.
+    """Reprojection alone: the condition map of Geo-EVS, with depth by LiDAR and no network.
 
     Args:
         frames: `own`, the frame's cloud rasterised as the paper has it; or `all`, what all frames
@@ -66,7 +66,7 @@ class Method:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read what `save` wrote."""
+        """Restore a fitted method from the folder that `save` filled."""
         method = cls(**read_json(folder / "reproject.json"))
         method._lifted = FRAMES[method.frames].load(folder)
         return method

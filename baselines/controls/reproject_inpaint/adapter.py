@@ -32,7 +32,7 @@ INPAINTINGS = (*CLASSICAL, *FREQUENCY_SELECTIVE)
 
 @dataclass
 class Method:
-    """What geometry explains, and OpenCV's guess elsewhere.
+    """Reprojection where geometry explains a view, and OpenCV's inpainting elsewhere.
 
     Args:
         inpaint: `telea`, `navier-stokes`, `fsr-fast` or `fsr-best`.
@@ -79,8 +79,8 @@ class Method:
         method._reprojection = reprojection
         return method
 
-    def _filled(self, seen: Rendering) -> Rendering:
-        return replace(seen, rgb=fill_holes(seen.rgb, seen.support, self.inpaint))
+    def _filled(self, rendering: Rendering) -> Rendering:
+        return replace(rendering, rgb=fill_holes(rendering.rgb, rendering.support, self.inpaint))
 
 
 def fill_holes(

@@ -132,7 +132,7 @@ class Method(SampledMethod):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read what `save` wrote."""
+        """Restore a fitted method from the folder that `save` filled."""
         method = cls._load_saved(folder)
         method._lifted = cls.lifting.load(folder)
         return method

@@ -22,7 +22,7 @@ from geoevs.methods.training import Inputs
 from geoevs.scenes.store import Scene
 
 SAMPLING = Sampling(steps=1, guidance=1.0)
-"""One step at the timestep that a short training learns; the paper samples 30."""
+"""Sampling of a short training: one step, at the timestep that it learns. The paper takes 30."""
 
 
 @dataclass(frozen=True)

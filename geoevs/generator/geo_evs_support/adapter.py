@@ -13,7 +13,7 @@ from geoevs.methods.contract import MethodInfo
 
 @dataclass
 class Method(GeoEvs):
-    """No more than a scene needs: a pixel that any frame's geometry explains is not generated."""
+    """Geo-EVS that generates only the pixels that no frame's geometry explains."""
 
     info: ClassVar[MethodInfo] = replace(
         GeoEvs.info, name="Geo-EVS, support kept", needs=(*GeoEvs.info.needs, "tracks")

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ def read_camera(folder: Path, frame: int, height: int, width: int) -> Camera:
     values = read_json(path)
     with _explain(path):
         fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
-        K = [[fx, 0, cx + CENTRE_SHIFT], [0, fy, cy + CENTRE_SHIFT], [0, 0, 1]]
+        K = np.array([[fx, 0, cx + CENTRE_SHIFT], [0, fy, cy + CENTRE_SHIFT], [0, 0, 1]])
         camera = Camera(K, np.eye(4), height, width, folder.name)
     path = folder / "poses.json"
     pose = read_entry(path, frame)
@@ -45,7 +46,7 @@ def read_timestamp(path: Path, frame: int) -> float:
         return float(value)
 
 
-def read_entry(path: Path, frame: int) -> object:
+def read_entry(path: Path, frame: int) -> Any:
     """Entry number `frame` of a JSON list.
 
     Raises:
@@ -61,7 +62,7 @@ def read_entry(path: Path, frame: int) -> object:
     return entries[frame]
 
 
-def pose_matrix(pose: dict) -> np.ndarray:
+def pose_matrix(pose: dict[str, Any]) -> np.ndarray:
     """(4, 4) world from sensor, of a `position` and a `heading` quaternion.
 
     The quaternion is not normalised, so that one whose length is not 1 gives a matrix with scale,

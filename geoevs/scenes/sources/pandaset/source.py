@@ -133,9 +133,9 @@ def _find_cameras(folder: Path) -> tuple[str, ...]:
             raise GeoEvsError(
                 f"{folder / 'camera' / name} is missing; download the sequence's camera folders"
             )
-    found = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
-    known = [name for name in CAMERA_ORDER if name in found]
-    return (*known, *sorted(found.difference(CAMERA_ORDER)))
+    folders = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
+    known = [name for name in CAMERA_ORDER if name in folders]
+    return (*known, *sorted(folders.difference(CAMERA_ORDER)))
 
 
 def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> list[int]:
@@ -145,7 +145,9 @@ def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> lis
     on_disk = set().union(*numbers.values())
     if not on_disk:
         raise GeoEvsError(f"{folder} has no LiDAR sweeps and no images; download the sequence")
-    frames = sorted(on_disk) if scene.first is None else range(scene.first, scene.last + 1)
+    frames = sorted(on_disk)
+    if scene.first is not None and scene.last is not None:
+        frames = list(range(scene.first, scene.last + 1))
     for frame in frames:
         for sensor, suffix in files.items():
             if frame not in numbers[sensor]:
@@ -153,7 +155,7 @@ def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> lis
                     f"{sensor / f'{frame:02d}.{suffix}'} is missing; copy it there or choose "
                     f"other frames ({min(on_disk)} to {max(on_disk)} are on disk)"
                 )
-    return list(frames)
+    return frames
 
 
 def _frame_numbers(sensor: Path, suffix: str) -> set[int]:

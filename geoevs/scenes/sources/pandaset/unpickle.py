@@ -33,6 +33,8 @@ class _Part:
 
     # Without a __dict__, and with __setstate__ on every instance, a pickle can set nothing else.
     __slots__ = ("arguments", "state")
+    arguments: tuple[Any, ...]
+    state: Any
 
     def __new__(cls, *arguments: Any) -> "_Part":
         part = super().__new__(cls)
@@ -130,7 +132,7 @@ def _decompress(path: Path) -> bytes:
 def _check_memo(raw: bytes) -> None:
     """Refuse memo slots beyond the pickle's own length: Python would allocate all of them."""
     for opcode, argument, _ in pickletools.genops(raw):
-        if opcode.name in MEMO_OPCODES and argument > len(raw):
+        if opcode.name in MEMO_OPCODES and (argument or 0) > len(raw):
             raise pickle.UnpicklingError("memo slot out of range")
 
 
@@ -155,7 +157,7 @@ def _build_table(frame: Any) -> pd.DataFrame:
     # pandas 0.14 to 1.x keep the whole state under this key; what stands before it repeats it.
     state = _expect(manager, _Manager).state[3]["0.14.1"]
     labels = _column_labels(state["axes"][0])
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for block in state["blocks"]:
         values = _build_array(block["values"])  # [columns of the block, rows]
         columns.update(zip(_block_labels(labels, block["mgr_locs"]), values, strict=True))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geoevs.scenes.sources.street.finishes import WALLS
 from geoevs.scenes.sources.street.layout import KERB_HEIGHT, Street, is_near
@@ -35,38 +36,50 @@ class Wall:
         return self._origin + local @ np.stack([self._along, up, self._out])
 
     def panels(
-        self, builder: MeshBuilder, finish: str, spans: np.ndarray, depth: float, colour: tuple
+        self,
+        builder: MeshBuilder,
+        finish: str,
+        spans: ArrayLike,  # [N, 4] or [4]
+        depth: float,
+        colour: ArrayLike,  # [3] or [N, 3]
     ) -> None:
         """Add (N, 4) rectangles (u0, u1, v0, v1) that face outward at `depth`."""
-        spans = np.atleast_2d(spans).astype(float)
-        u, v = spans[:, [0, 1, 1, 0]], spans[:, [2, 2, 3, 3]]
+        edges = np.atleast_2d(spans).astype(float)
+        u, v = edges[:, [0, 1, 1, 0]], edges[:, [2, 2, 3, 3]]
         local = np.stack([u, v, np.full_like(u, depth)], axis=-1)
         builder.quads(finish, self.world(local), colour, uv=local[..., :2])
 
-    def bars(self, builder: MeshBuilder, finish: str, low: np.ndarray, high: np.ndarray, colour):
+    def bars(
+        self,
+        builder: MeshBuilder,
+        finish: str,
+        low: ArrayLike,  # [N, 3]
+        high: ArrayLike,  # [N, 3]
+        colour: ArrayLike,  # [3] or [N, 3]
+    ) -> None:
         """Add boxes between (N, 3) local corners."""
-        if len(low):
+        if np.size(low):
             builder.quads(finish, self.world(boxes(low, high)), colour)
 
 
 @dataclass(frozen=True)
 class Style:
-    """What the facades of one building look like."""
+    """The looks of one building's facades; lengths in metres, colours in linear RGB."""
 
     finish: str
     floors: int
     floor_height: float
     bay: float
     window: tuple[float, float, float]  # width, height, sill above the floor
-    frame: tuple
-    trim: tuple
+    frame: tuple[float, ...]
+    trim: tuple[float, ...]
     shop: bool
     balconies: bool
     pitched: bool
 
     @property
     def height(self) -> float:
-        """From the pavement to the top of the wall."""
+        """The height in metres from the pavement to the top of the wall."""
         return self.floors * self.floor_height + 0.5
 
 
@@ -204,11 +217,11 @@ def _add_pierced_band(
     """Wall between two heights, around its openings, and their reveals."""
     left = np.concatenate([[0.0], openings[:, 1]])
     right = np.concatenate([openings[:, 0], [wall.width]])
-    solid = [np.stack([left, right, np.full_like(left, foot), np.full_like(left, top)], axis=1)]
+    bands = [np.stack([left, right, np.full_like(left, foot), np.full_like(left, top)], axis=1)]
     for low, high in ((foot, openings[:, 2]), (openings[:, 3], top)):
         pair = np.broadcast_arrays(openings[:, 0], openings[:, 1], low, high)
-        solid.append(np.stack(pair, axis=1))
-    solid = np.concatenate(solid)
+        bands.append(np.stack(pair, axis=1))
+    solid = np.concatenate(bands)
     solid = solid[(solid[:, 1] > solid[:, 0]) & (solid[:, 3] > solid[:, 2])]
     wall.panels(builder, finish, solid, 0.0, (1, 1, 1))
     if len(openings) == 0:
@@ -317,7 +330,9 @@ def _add_balconies(
     if count == 0:
         return
 
-    def slab(u0, u1, v0, v1, n0, n1, colour):
+    def slab(
+        u0: float, u1: float, v0: float, v1: float, n0: float, n1: float, colour: ArrayLike
+    ) -> None:
         low = np.stack([centres + u0, np.full(count, foot + v0), np.full(count, n0)], axis=1)
         high = np.stack([centres + u1, np.full(count, foot + v1), np.full(count, n1)], axis=1)
         wall.bars(builder, "matte", low, high, colour)

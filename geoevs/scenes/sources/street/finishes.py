@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter, zoom
 from skimage import data
 from skimage.transform import ProjectiveTransform, resize, warp
@@ -31,7 +32,7 @@ PLASTER_COLOURS = (
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface looks.
+    """The material of a surface.
 
     Args:
         tile: albedo, or None where the mesh carries its own colours.
@@ -83,7 +84,7 @@ def _photo(name: str) -> np.ndarray:
     return (mixed - mixed.mean()) / mixed.std()
 
 
-def _grained(photo: str, colour: tuple | np.ndarray, contrast: float) -> np.ndarray:
+def _grained(photo: str, colour: ArrayLike, contrast: float) -> np.ndarray:
     grain = np.clip(_photo(photo), -2.5, 2.5)
     return np.clip(np.array(colour) * (1 + contrast * grain[..., None]), 0.01, 0.9)
 

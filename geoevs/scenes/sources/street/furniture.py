@@ -36,15 +36,15 @@ def add_furniture(
             builder.place(small(rng), x, y, KERB_HEIGHT, yaw)
         if street.setback:
             _add_hedge(builder, kerb, street.facade - street.setback + 0.3, rng)
-    if street.cross is not None:
-        _add_traffic_lights(builder, street)
+    if street.crossing is not None:
+        _add_traffic_lights(builder, street.half_width, street.crossing.at)
 
 
 def _places(
     kerb: KerbLine, offset: float, spacing: float, rng: np.random.Generator
 ) -> list[tuple[float, float, float]]:
     """(x, y, yaw) along a kerb with yaw towards the road, away from the corners of blocks."""
-    found = []
+    places = []
     line = kerb.offset(offset)
     for leg in kerb.legs:
         points = line[leg]
@@ -54,8 +54,8 @@ def _places(
             place = s + rng.uniform(-1, 1)
             x, y = (np.interp(place, length, points[:, axis]) for axis in (0, 1))
             along = steps[min(np.searchsorted(length, place), len(steps)) - 1]
-            found.append((x, y, np.arctan2(-along[0], along[1])))
-    return found
+            places.append((x, y, np.arctan2(-along[0], along[1])))
+    return places
 
 
 class _Tree:
@@ -225,8 +225,8 @@ def _add_hedge(
             builder.quads("hedge", quads, (1, 1, 1), uv=np.broadcast_to(uv, (5, 4, 2)))
 
 
-def _add_traffic_lights(builder: MeshBuilder, street: Street) -> None:
-    half, at, beyond = street.half_width, street.crossing_at, 6.0
+def _add_traffic_lights(builder: MeshBuilder, half: float, at: float) -> None:
+    beyond = 6.0
     light = MeshBuilder()
     add_tube(light, "matte", (0, 0, 0), (0, 0, 3.4), (0.07, 0.06), STEEL)
     case = boxes(np.array([[-0.14, -0.17, 2.5]]), np.array([[0.1, 0.17, 3.5]]))

@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from geoevs.scenes.sources.street.layout import CORNER_RADIUS, KERB_HEIGHT, Path, Street
+from geoevs.scenes.sources.street.layout import (
+    CORNER_RADIUS,
+    KERB_HEIGHT,
+    Crossing,
+    KerbLine,
+    Path,
+    Street,
+)
 from geoevs.scenes.sources.street.mesh import MeshBuilder
 
 WHITE, YELLOW = (0.62, 0.62, 0.60), (0.62, 0.43, 0.07)
@@ -13,18 +20,18 @@ FAR = 400.0
 
 
 def add_ground(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> None:
-    """Everything that lies flat, out to the horizon."""
+    """Add everything that lies flat, out to the horizon."""
     plane = np.array([[-FAR, -FAR], [FAR, -FAR], [FAR, FAR], [-FAR, FAR]])
     _flat(builder, "grass", plane[None], -0.05)
     half = street.half_width
-    if street.cross is None:
+    if street.crossing is None:
         _strip(builder, "asphalt", street.path, _whole(street.path), -half, half, 0.0)
         zebra = rng.uniform(11, 24)
         _mark_lanes(builder, street, street.path, (street.path.first, zebra - 2))
         _mark_lanes(builder, street, street.path, (zebra + 2, street.path.last))
         _mark_crosswalk(builder, street.path, zebra, half)
     else:
-        _add_crossing(builder, street)
+        _add_crossing(builder, street, street.crossing)
     _wear(builder, street, rng)
     for kerb in street.kerbs:
         _add_pavement(builder, street, kerb)
@@ -34,9 +41,9 @@ def _whole(path: Path) -> tuple[float, float]:
     return path.first, path.last
 
 
-def _add_crossing(builder: MeshBuilder, street: Street) -> None:
-    half, at = street.half_width, street.crossing_at
-    main, cross = street.path, street.cross
+def _add_crossing(builder: MeshBuilder, street: Street, crossing: Crossing) -> None:
+    half, at = street.half_width, crossing.at
+    main, cross = street.path, crossing.path
     _strip(builder, "asphalt", main, _whole(main), -half, half, 0.0)
     for span in ((cross.first, -half), (half, cross.last)):
         _strip(builder, "asphalt", cross, span, -half, half, 0.0)
@@ -90,8 +97,8 @@ def _mark_lanes(
     builder: MeshBuilder, street: Street, path: Path, span: tuple[float, float]
 ) -> None:
     def line(offset: float, colour: str, stretch: tuple[float, float] = span) -> None:
-        edges = offset - LINE / 2, offset + LINE / 2
-        _strip(builder, colour, path, stretch, *edges, PAINT_HEIGHT)
+        low, high = offset - LINE / 2, offset + LINE / 2
+        _strip(builder, colour, path, stretch, low, high, PAINT_HEIGHT)
 
     if street.lanes == 2:
         line(-0.14, "yellow")
@@ -107,8 +114,8 @@ def _mark_lanes(
         line(side * (edge - (0.0 if street.parking else 0.25)), "white")
         if street.parking:
             for s in np.arange(span[0] + 2, span[1] - 2, 5.8):
-                ends = sorted((side * edge, side * (edge + street.parking - 0.1)))
-                _strip(builder, "white", path, (s, s + 0.1), *ends, PAINT_HEIGHT)
+                low, high = sorted((side * edge, side * (edge + street.parking - 0.1)))
+                _strip(builder, "white", path, (s, s + 0.1), low, high, PAINT_HEIGHT)
 
 
 def _mark_crosswalk(builder: MeshBuilder, path: Path, at: float, half: float) -> None:
@@ -140,16 +147,16 @@ def _wear(builder: MeshBuilder, street: Street, rng: np.random.Generator) -> Non
         builder.triangles("matte", corners, (0.06, 0.055, 0.05))
     for _ in range(24):
         steps = int(rng.integers(5, 14))
-        s = rng.uniform(-10, 60) + np.cumsum(rng.uniform(0.1, 0.5, steps))
+        places = rng.uniform(-10, 60) + np.cumsum(rng.uniform(0.1, 0.5, steps))
         offset = rng.uniform(-half, half) + np.cumsum(rng.normal(0, 0.13, steps))
         offset = np.clip(offset, -half + 0.2, half - 0.2)
-        right, left = street.path.at(s, offset - 0.012), street.path.at(s, offset + 0.012)
+        right, left = (street.path.at(places, offset + aside) for aside in (-0.012, 0.012))
         plan = np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1)
         corners = np.concatenate([plan, np.full((*plan.shape[:2], 1), 0.006)], axis=2)
         builder.quads("matte", corners, (0.035, 0.035, 0.035))
 
 
-def _add_pavement(builder: MeshBuilder, street: Street, kerb) -> None:
+def _add_pavement(builder: MeshBuilder, street: Street, kerb: KerbLine) -> None:
     """Kerb stone, verge, sidewalk and the ground of the block behind, outward from a kerb line."""
     stone = 0.18
     foot, edge, back = kerb.offset(0.0), kerb.offset(0.02), kerb.offset(stone)
@@ -159,8 +166,8 @@ def _add_pavement(builder: MeshBuilder, street: Street, kerb) -> None:
 
     low, top, inner = rise(foot, 0.0), rise(edge, KERB_HEIGHT), rise(back, KERB_HEIGHT)
     shades = 0.36 + 0.05 * np.sin(np.arange(len(foot) - 1) * 2.4)[:, None] * np.ones(3)
-    for near, far in ((low, top), (top, inner)):
-        quads = np.stack([near[:-1], near[1:], far[1:], far[:-1]], axis=1)
+    for outside, inside in ((low, top), (top, inner)):
+        quads = np.stack([outside[:-1], outside[1:], inside[1:], inside[:-1]], axis=1)
         builder.quads("matte", quads, shades)
     behind = street.facade - street.setback
     bands = [(stone, stone + street.verge, "grass"), (stone + street.verge, behind, "paving")]

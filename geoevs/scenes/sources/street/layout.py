@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,16 +43,23 @@ class Path:
         x, y = np.cumsum(np.cos(middle)) * STEP, np.cumsum(np.sin(middle)) * STEP
         self._x, self._y = x - x[origin] + start[0], y - y[origin] + start[1]
 
-    def heading(self, s: np.ndarray) -> np.ndarray:
+    def heading(self, s: np.ndarray | float) -> np.ndarray:
         """Direction of travel in radians at arc length `s`."""
         return np.interp(s, self._s, self._heading)
 
-    def at(self, s: np.ndarray, offset: np.ndarray = 0.0) -> np.ndarray:
+    def at(self, s: np.ndarray | float, offset: np.ndarray | float = 0.0) -> np.ndarray:
         """(..., 2) points at arc length `s`, `offset` metres to the left."""
         heading = self.heading(s)
         x = np.interp(s, self._s, self._x) - offset * np.sin(heading)
         y = np.interp(s, self._s, self._y) + offset * np.cos(heading)
         return np.stack([x, y], axis=-1)
+
+
+class Crossing(NamedTuple):
+    """A street that crosses the main street."""
+
+    path: Path  # its centre line, arc length zero in the middle of the junction
+    at: float  # arc length of the main street where it crosses
 
 
 @dataclass(frozen=True)
@@ -74,8 +82,7 @@ class Street:
     Args:
         layout: one of LAYOUTS.
         path: centre line of the main street; the ego starts at arc length zero.
-        cross: centre line of the crossing street, if there is one.
-        crossing_at: arc length of the main street where it crosses.
+        crossing: the crossing street, if there is one.
         lane: width of a lane.
         lanes: lanes each way.
         parking: width of the parking strip on either side, or 0.
@@ -87,8 +94,7 @@ class Street:
 
     layout: str
     path: Path
-    cross: Path | None
-    crossing_at: float | None
+    crossing: Crossing | None
     lane: float
     lanes: int
     parking: float
@@ -99,17 +105,17 @@ class Street:
 
     @property
     def half_width(self) -> float:
-        """From the centre line to the kerb, main street and crossing street alike."""
+        """The distance in metres from the centre line to the kerb, on both streets alike."""
         return self.lane * self.lanes + self.parking
 
     @property
     def facade(self) -> float:
-        """From the kerb to the facades."""
+        """The distance in metres from the kerb to the facades."""
         return 0.2 + self.verge + self.sidewalk + self.setback
 
     @property
     def ego_offset(self) -> float:
-        """Lateral place of the ego: the middle of the right lane next to the centre line."""
+        """The ego's lateral place in metres: the middle of the lane right of the centre line."""
         return -self.lane / 2
 
 
@@ -125,17 +131,16 @@ def make_street(layout: str, rng: np.random.Generator) -> Street:
         path = Path(lambda s: turn * _bump(s, begin, length), (0, 0, 0), _SPAN)
     else:
         path = Path(np.zeros_like, (0, 0, 0), _SPAN)
-    cross, crossing_at = None, None
+    crossing = None
     kerbs = _street_kerbs(path, half)
     if layout == "junction":
-        crossing_at = rng.uniform(17, 26)
-        cross = Path(np.zeros_like, (crossing_at, 0, np.pi / 2), (-110.0, 110.0))
-        kerbs = tuple(_corner(crossing_at, half, x, y) for x in (1, -1) for y in (1, -1))
+        at = rng.uniform(17, 26)
+        crossing = Crossing(Path(np.zeros_like, (at, 0, np.pi / 2), (-110.0, 110.0)), at)
+        kerbs = tuple(_corner(at, half, x, y) for x in (1, -1) for y in (1, -1))
     return Street(
         layout=layout,
         path=path,
-        cross=cross,
-        crossing_at=crossing_at,
+        crossing=crossing,
         lane=lane,
         lanes=lanes,
         parking=parking,

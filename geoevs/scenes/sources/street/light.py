@@ -103,11 +103,11 @@ MOODS = (
 
 def make_light(rng: np.random.Generator) -> Light:
     """A random time of day and weather."""
-    elevations, sun, zenith, horizon, level, covers, haze = MOODS[rng.integers(len(MOODS))]
+    elevations, *colours, level, covers, haze = MOODS[rng.integers(len(MOODS))]
     elevation, azimuth = np.radians(rng.uniform(*elevations)), rng.uniform(0, 2 * np.pi)
     flat = np.cos(elevation)
     to_sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    sun, zenith, horizon = np.array(sun), np.array(zenith), np.array(horizon)
+    sun, zenith, horizon = map(np.array, colours)
     tint = 0.45 * zenith / (zenith @ LUMINANCE) + 0.55 * horizon / (horizon @ LUMINANCE)
     above = level * tint
     warm = sun / (sun @ LUMINANCE)

@@ -4,6 +4,7 @@ from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class Surface(NamedTuple):
@@ -42,7 +43,7 @@ class MeshBuilder:
         self,
         finish: str,
         corners: np.ndarray,  # [N, 3, 3]
-        colour: np.ndarray | tuple,  # [3] or [N, 3]
+        colour: ArrayLike,  # [3] or [N, 3]
         normals: np.ndarray | None = None,  # [N, 3, 3]
         uv: np.ndarray | None = None,  # [N, 3, 2]
     ) -> None:
@@ -59,7 +60,7 @@ class MeshBuilder:
         self,
         finish: str,
         corners: np.ndarray,  # [N, 4, 3]
-        colour: np.ndarray | tuple,  # [3] or [N, 3]
+        colour: ArrayLike,  # [3] or [N, 3]
         normals: np.ndarray | None = None,  # [N, 4, 3]
         uv: np.ndarray | None = None,  # [N, 4, 2]
     ) -> None:
@@ -98,16 +99,15 @@ class MeshBuilder:
         return merged
 
 
-def boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def boxes(low: ArrayLike, high: ArrayLike) -> np.ndarray:
     """(6 N, 4, 3) quads of N axis-aligned boxes between (N, 3) corners."""
-    low, high = np.atleast_2d(low).astype(float), np.atleast_2d(high).astype(float)
-    ends = np.stack([low, high])  # [2, N, 3]
+    ends = np.stack([np.atleast_2d(corner).astype(float) for corner in (low, high)])  # [2, N, 3]
     quads = []
     for axis in range(3):
         second, third = (axis + 1) % 3, (axis + 2) % 3
         for side in (0, 1):
             ring = [(0, 0), (1, 0), (1, 1), (0, 1)] if side else [(0, 0), (0, 1), (1, 1), (1, 0)]
-            quad = np.empty((len(low), 4, 3))
+            quad = np.empty((ends.shape[1], 4, 3))
             for corner, (b, c) in enumerate(ring):
                 quad[:, corner, axis] = ends[side, :, axis]
                 quad[:, corner, second] = ends[b, :, second]
@@ -139,7 +139,9 @@ def fan(ring: np.ndarray) -> np.ndarray:
     return np.stack([ring, np.roll(ring, -1, axis=0), centre], axis=1)
 
 
-def tube(start: np.ndarray, end: np.ndarray, radii: tuple, sides: int = 8) -> np.ndarray:
+def tube(
+    start: np.ndarray, end: np.ndarray, radii: tuple[float, float], sides: int = 8
+) -> np.ndarray:
     """(2, sides, 3) rings of a tapered tube from `start` to `end`, for `loft`."""
     axis = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
     other = np.array([1.0, 0, 0]) if abs(axis[0]) < 0.9 else np.array([0, 1.0, 0])
@@ -154,13 +156,13 @@ def tube(start: np.ndarray, end: np.ndarray, radii: tuple, sides: int = 8) -> np
 def add_tube(
     builder: MeshBuilder,
     finish: str,
-    start: tuple,
-    end: tuple,
-    radii: tuple,
-    colour: tuple,
+    start: ArrayLike,  # [3]
+    end: ArrayLike,  # [3]
+    radii: tuple[float, float],
+    colour: ArrayLike,  # [3]
     sides: int = 8,
 ) -> None:
-    """A closed, smooth-shaded tapered tube."""
+    """Add a closed, smooth-shaded tapered tube."""
     rings = tube(np.array(start, float), np.array(end, float), radii, sides)
     quads, normals = loft(rings)
     builder.quads(finish, quads, colour, normals)
@@ -171,10 +173,8 @@ def add_tube(
 def icosphere(level: int) -> np.ndarray:
     """(20 * 4**level, 3, 3) triangles of the unit sphere."""
     golden = (1 + 5**0.5) / 2
-    points = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
-    points = np.array(
-        points + [(z, x, y) for x, y, z in points] + [(y, z, x) for x, y, z in points]
-    )
+    flat = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
+    points = np.array(flat + [(z, x, y) for x, y, z in flat] + [(y, z, x) for x, y, z in flat])
     points = points / np.linalg.norm(points[0])
     index = np.array([(i, j, k) for i in range(12) for j in range(12) for k in range(12)])
     corners = points[index]  # the faces are the triples whose edges are all shortest

@@ -43,7 +43,7 @@ class Lattice:
         self._sensor = _make_sensor(camera, focal.max(), count, 0.5 - centre / count)
 
     def see(self, scene: Any, what: str) -> np.ndarray:
-        """(h, w, 3) what each ray of the lattice brings back; `what` is one of INTEGRATORS."""
+        """(h, w, 3) values that the rays bring back; `what` is one of INTEGRATORS."""
         mi = mitsuba()
         integrator = mi.load_dict(INTEGRATORS[what])
         image = mi.render(scene, sensor=self._sensor, integrator=integrator, spp=1)
@@ -126,7 +126,7 @@ def render_image(
     samples: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """(H, W, 3) uint8 picture.
+    """(H, W, 3) uint8 picture of a street at one instant.
 
     Args:
         scenes: the Mitsuba scenes of the instant.
@@ -157,26 +157,27 @@ def _lit(scene: Any, camera: Camera, shifts: np.ndarray) -> tuple[np.ndarray, np
     The share varies little, so every sixth lattice decides it; comparing the same rays makes it
     exactly 1 in the shade.
     """
-    total, rays, glow, whole = 0.0, 0.0, 0.0, 0.0
+    total, glow, whole = np.zeros((3, 1, 1, 1), np.float32)
+    rays = np.zeros((1, 1, 1))
     for number, shift in enumerate(shifts):
         lattice = Lattice(camera, shift)
-        seen = lattice.per_pixel(lattice.see(scene, "lit"))
-        total, rays = total + seen, rays + lattice.rays
+        values = lattice.per_pixel(lattice.see(scene, "lit"))
+        total, rays = total + values, rays + lattice.rays
         if number % 6 == 0:
             glow = glow + lattice.per_pixel(lattice.see(scene, "glow"))
-            whole = whole + seen
+            whole = whole + values
     return total / rays, glow / np.maximum(whole, 1e-9)
 
 
 def _reflections(mirror: Any, camera: Camera, shifts: np.ndarray) -> np.ndarray:
     """(H, W, 3) what glossy surfaces mirror."""
-    total, rays = 0.0, 0.0
+    total, rays = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 1))
     for shift in shifts:
         lattice = Lattice(camera, shift)
         # In the mirror scene only glossy surfaces are without a glow of their own.
         glossy = lattice.see(mirror, "glow").max(axis=-1, keepdims=True) == 0
-        seen = lattice.see(mirror, "reflections")
-        total = total + lattice.per_pixel(np.where(glossy, seen, 0.0))
+        values = lattice.see(mirror, "reflections")
+        total = total + lattice.per_pixel(np.where(glossy, values, 0.0))
         rays = rays + lattice.rays
     return total / rays
 

@@ -125,7 +125,7 @@ class Source:
                 f"street scene '{scene.name}' is not of the form LAYOUT-SEED with a layout and a "
                 f"whole number, such as straight-101; {did_you_mean(layout, LAYOUTS)}"
             )
-        if scene.last is not None and scene.last >= self._frames:
+        if scene.first is not None and scene.last is not None and scene.last >= self._frames:
             raise GeoEvsError(
                 f"scene '{scene.name}' has no frame {max(scene.first, self._frames)}; its frames "
                 f"are 0 to {self._frames - 1}, so choose a range of those or raise 'frames'"

@@ -64,7 +64,9 @@ class Stage:
             mirror=load({"type": "scene", **shapes[1], **self._lights}),
         )
 
-    def _meshes(self, group: str, surfaces: dict[str, Surface]) -> tuple[dict, dict]:
+    def _meshes(
+        self, group: str, surfaces: dict[str, Surface]
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Shapes for the lit and for the mirror scene; matt ones are shared."""
         lit, mirror = {}, {}
         for finish, surface in surfaces.items():
@@ -81,10 +83,10 @@ class Stage:
         look = self._finishes[finish]
         if look.tile is not None:
             mean = face_normals(surface.corners).mean(axis=0)
-            glow = self._light.ambient(mean / np.linalg.norm(mean))
+            ambient = self._light.ambient(mean / np.linalg.norm(mean))
             if finish not in self._tiles:
                 self._tiles[finish] = _bitmap(look.tile)
-            reflectance, radiance = self._tiles[finish], _bitmap(look.tile * glow)
+            reflectance, radiance = self._tiles[finish], _bitmap(look.tile * ambient)
             uv = surface.uv / np.array(look.metres)
             return _make_mesh(name, surface, {}, uv, _diffuse(reflectance), radiance)
         colours = np.repeat(surface.colours, 3, axis=0)
@@ -118,7 +120,7 @@ def _make_mesh(
     surface: Surface,
     attributes: dict[str, np.ndarray],  # [3 T, 3] each
     uv: np.ndarray | None,  # [T, 3, 2]
-    bsdf: dict,
+    bsdf: dict[str, Any],
     radiance: Any | None,
 ) -> Any:
     mi = mitsuba()
@@ -151,7 +153,7 @@ def _make_mesh(
     return mesh
 
 
-def _diffuse(reflectance: Any) -> dict:
+def _diffuse(reflectance: Any) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": reflectance}
 
 
@@ -161,11 +163,11 @@ def _bitmap(values: np.ndarray) -> Any:
     return mi.load_dict({"type": "bitmap", "bitmap": image, "raw": True})
 
 
-def _rgb(value: np.ndarray) -> dict:
+def _rgb(value: np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(v) for v in value]}
 
 
-def _sky(light: Light) -> dict:
+def _sky(light: Light) -> dict[str, Any]:
     """The sky as an environment map; Mitsuba's has y up, so it is turned."""
     mi = mitsuba()
     height, width = SKY_SIZE

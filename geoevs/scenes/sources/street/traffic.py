@@ -1,5 +1,6 @@
 """Who is on the street: parked and moving cars and pedestrians, as functions of time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from geoevs.scenes.sources.street.vehicles import make_car
 
 
 class Place(NamedTuple):
-    """Where something stands: metres, radians."""
+    """A position in metres and a heading in radians, in the world."""
 
     x: float
     y: float
@@ -52,7 +53,8 @@ class Actor:
         s = self.start + self.speed * time
         x, y = self.path.at(s, self.offset)
         backwards = np.pi if self.speed < 0 else 0.0
-        return Place(x, y, self.height, self.path.heading(s) + backwards + self.yaw_change)
+        heading = float(self.path.heading(s))
+        return Place(x, y, self.height, heading + backwards + self.yaw_change)
 
     def add_to(self, builder: MeshBuilder, time: float) -> None:
         """Add its mesh at `time` seconds."""
@@ -88,7 +90,8 @@ def make_actors(
 
     def person(path: Path, start: float, offset: float, speed: float, height: float) -> None:
         looks = Person(rng)
-        size = tuple(looks.scale * edge for edge in SIZE)
+        length, width, tall = (looks.scale * edge for edge in SIZE)
+        size = (length, width, tall)
         track = f"pedestrian-{len(actors):03d}"
         actors.append(Actor(track, "pedestrian", path, start, offset, speed, height, size, looks))
 
@@ -100,10 +103,11 @@ def make_actors(
 
 def _free_stretches(street: Street) -> list[tuple[Path, float, float]]:
     """Parts of the paths along which cars may park."""
-    main, cross = street.path, street.cross
-    if cross is None:
+    main = street.path
+    if street.crossing is None:
         return [(main, main.first + 5, main.last - 5)]
-    clear, at = street.half_width + 13.0, street.crossing_at
+    clear = street.half_width + 13.0
+    cross, at = street.crossing
     return [
         (main, main.first + 5, at - clear),
         (main, at + clear, main.last - 5),
@@ -112,7 +116,7 @@ def _free_stretches(street: Street) -> list[tuple[Path, float, float]]:
     ]
 
 
-def _park(street: Street, rng: np.random.Generator, car) -> None:
+def _park(street: Street, rng: np.random.Generator, car: Callable[..., None]) -> None:
     if not street.parking:
         return
     aside = street.half_width - street.parking / 2 - 0.05
@@ -126,26 +130,29 @@ def _park(street: Street, rng: np.random.Generator, car) -> None:
                     car(path, s + rng.uniform(-0.25, 0.25), place, 0.0, yaw)
 
 
-def _drive(street: Street, ego_speed: float, rng: np.random.Generator, car) -> None:
+def _drive(
+    street: Street, ego_speed: float, rng: np.random.Generator, car: Callable[..., None]
+) -> None:
     lane, oncoming = street.lane, -rng.uniform(6, 11)
     for start in (-rng.uniform(14, 25), *(np.cumsum(rng.uniform(14, 30, 3)) + 2)):
         car(street.path, start, (street.lanes - 0.5) * lane, oncoming)
     car(street.path, rng.uniform(19, 32), street.ego_offset, ego_speed + rng.uniform(-0.4, 1.0))
     if street.lanes == 2:
         car(street.path, rng.uniform(7, 14), -1.5 * lane, ego_speed + rng.uniform(-1.0, 1.5))
-    if street.cross is not None:
-        car(street.cross, -street.half_width - rng.uniform(10, 13), -lane / 2, rng.uniform(0.8, 2))
-        car(street.cross, street.half_width + rng.uniform(10, 16), lane / 2, -rng.uniform(1, 3))
+    if street.crossing is not None:
+        cross = street.crossing.path
+        car(cross, -street.half_width - rng.uniform(10, 13), -lane / 2, rng.uniform(0.8, 2))
+        car(cross, street.half_width + rng.uniform(10, 16), lane / 2, -rng.uniform(1, 3))
 
 
-def _walk(street: Street, rng: np.random.Generator, person) -> None:
+def _walk(street: Street, rng: np.random.Generator, person: Callable[..., None]) -> None:
     middle = street.half_width + 0.2 + street.verge + street.sidewalk / 2
     spans = [(street.path, -12.0, 55.0, 12)]
-    if street.cross is not None:
+    if street.crossing is not None:
         clear = street.half_width + 6
-        at = street.crossing_at
+        cross, at = street.crossing
         spans = [(street.path, -15.0, at - clear, 6), (street.path, at + clear, 70.0, 5),
-                 (street.cross, clear, 35.0, 4), (street.cross, -35.0, -clear, 4)]  # fmt: skip
+                 (cross, clear, 35.0, 4), (cross, -35.0, -clear, 4)]  # fmt: skip
     for path, first, last, count in spans:
         for s in np.sort(rng.uniform(first, last, count)):
             side, way = rng.choice([-1, 1], 2)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geoevs.scenes.sources.street.mesh import MeshBuilder, add_tube, boxes, fan, loft
 
@@ -126,7 +127,7 @@ def _add_wheels(car: MeshBuilder, body: Body) -> None:
 def _add_details(car: MeshBuilder, body: Body) -> None:
     half, front = body.width / 2, body.length / 2
 
-    def box(low: tuple, high: tuple, colour: tuple, finish: str = "matte") -> None:
+    def box(low: ArrayLike, high: ArrayLike, colour: ArrayLike, finish: str = "matte") -> None:
         car.quads(finish, boxes(np.array([low]), np.array([high])), colour)
 
     for side in (-1, 1):
