@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-LATER = ("geoevs/results", "geoevs/cli")
+LATER = ()
 
 
 def public(node: ast.AST, name: str) -> Iterator[tuple[str, ast.AST]]:
