@@ -52,8 +52,8 @@ class Clips:
             same &= column[first] == column[first + length - 1]
         if not same.any():
             raise GeoEvsError(
-                f"no scene under partitions.clips has {length} frames; lower freevs.frames or name "
-                "longer scenes there"
+                f"no scene under partitions.clips has {length} frames; lower "
+                "trainings.freevs.frames or name longer scenes there"
             )
         return first[same]
 

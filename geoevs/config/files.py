@@ -12,6 +12,9 @@ from geoevs.core.settings import SettingError
 
 Key = tuple[str | int, ...]
 
+TEXT_KEYS = ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge")
+"""What YAML takes keys for: text, or `<<`."""
+
 
 def check_syntax(path: str | Path) -> None:
     """Check that a config file, where there is one, is YAML; Snakemake would not say what is not.
@@ -39,7 +42,7 @@ def check_repeats(path: str | Path) -> None:
     """Check that no key of a config file stands twice; YAML would take the last without a word.
 
     Raises:
-        GeoEvsError: one does; the sentence names both lines.
+        GeoEvsError: one does (the sentence names both lines), or is no text, such as `on`.
     """
     nodes = [yaml.compose(Path(path).read_text())]
     while nodes:
@@ -50,6 +53,11 @@ def check_repeats(path: str | Path) -> None:
             lines: dict[str, int] = {}
             for name, value in node.value:
                 line = name.start_mark.line + 1
+                if name.tag not in TEXT_KEYS:
+                    raise GeoEvsError(
+                        f"{path}:{line}: YAML does not read the key '{name.value}' as text; write "
+                        "it in quotes"
+                    )
                 if name.value in lines:
                     raise GeoEvsError(
                         f"{path}:{line}: '{name.value}' stands in line {lines[name.value]} already;"

@@ -79,12 +79,9 @@ def _check_training(config: Mapping[str, Any], entry: MethodEntry) -> None:
     """Methods that are trained name a training, others none; it needs scenes."""
     trained = entry.method not in ORACLES and "training" in _needs(entry)
     if trained and not entry.training:
-        names = [
-            f"{name}/{variant}" for name in find_trainings() for variant in variants(config, name)
-        ]
         raise GeoEvsError(
             f"method '{entry.name}' is trained before it is fitted; name one under 'training' "
-            f"({', '.join(names)})"
+            f"({', '.join(_all_trainings(config))})"
         )
     if entry.training and not trained:
         raise GeoEvsError(
@@ -92,8 +89,19 @@ def _check_training(config: Mapping[str, Any], entry: MethodEntry) -> None:
         )
     if not trained:
         return
+    trainer, slash, variant = entry.training.partition("/")
+    if not (trainer and slash and variant) or "/" in variant:
+        raise GeoEvsError(
+            f"the training '{entry.training}' is not of the form VARIANT or METHOD/VARIANT; name "
+            "one so"
+        )
+    if trainer == entry.method and trainer not in find_trainings():
+        raise GeoEvsError(
+            f"method '{trainer}' has no training of its own; name another method's as "
+            f"METHOD/VARIANT ({', '.join(_all_trainings(config))})"
+        )
     check_named(config, entry.training)
-    partition = training_class(entry.training.partition("/")[0]).partition
+    partition = training_class(trainer).partition
     if not partition_scenes(config, partition, config["datasets"]):
         raise GeoEvsError(
             f"method '{entry.name}' is trained, but no data set has scenes under "
@@ -101,9 +109,14 @@ def _check_training(config: Mapping[str, Any], entry: MethodEntry) -> None:
         )
 
 
+def _all_trainings(config: Mapping[str, Any]) -> list[str]:
+    return [f"{name}/{variant}" for name in find_trainings() for variant in variants(config, name)]
+
+
 def _needs(entry: MethodEntry) -> tuple[str, ...]:
     method = _imported(entry)
-    return () if method is None else method.info.needs
+    # A method without info is told so by its rows.
+    return getattr(getattr(method, "info", None), "needs", ())
 
 
 def _imported(entry: MethodEntry) -> type | None:

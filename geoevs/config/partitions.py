@@ -9,6 +9,9 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.methods.training import PARTITIONS as TRAINING_PARTITIONS
 from geoevs.scenes.scene import SceneRef
 
+MOST_SCENES = 10_000
+"""Of one range: more are a slip of the keyboard."""
+
 
 def expand_scenes(scenes: Iterable[str]) -> list[str]:
     """A config's scenes with its ranges written out.
@@ -32,6 +35,11 @@ def expand_scenes(scenes: Iterable[str]) -> list[str]:
             )
         prefix, first, last = match.groups()
         numbers = range(int(first), int(last) + 1)
+        if numbers.stop - numbers.start > MOST_SCENES:
+            raise GeoEvsError(
+                f"scene '{text}' is a range of {numbers.stop - numbers.start} scenes; name "
+                f"{MOST_SCENES} at most"
+            )
         names.extend(f"{prefix}{number:0{len(first)}d}" for number in numbers)
     return names
 

@@ -110,7 +110,8 @@ def check_options(
 
     Args:
         who: has them, such as `method 'emernerf'`, for errors.
-        factory: a class or function; an annotation that is a string is taken at its word.
+        factory: a class or function; an annotation in quotes whose names are unknown when it
+            runs is taken at its word.
         options: by name.
         positional: how many of its arguments are no options.
 
@@ -118,13 +119,22 @@ def check_options(
         SettingError: an option that it does not take (the sentence names the nearest one), one of
             another type or value, or one that it needs is missing.
     """
-    taken = list(inspect.signature(factory).parameters.values())[positional:]
+    taken = _parameters(factory)[positional:]
     _check_names(who, [option.name for option in taken], options)
     for option in taken:
         if option.name in options:
             _check_value(who, (option.name,), options[option.name], option.annotation)
         elif option.default is option.empty:
             raise SettingError((), f"{who} needs the option '{option.name}'; set it in its options")
+
+
+def _parameters(factory: Callable[..., Any]) -> list[inspect.Parameter]:
+    """What a class or function takes, annotations in quotes read where their names are known."""
+    try:
+        signature = inspect.signature(factory, eval_str=True)
+    except Exception:  # names for type checkers alone, or whatever else stands in quotes
+        signature = inspect.signature(factory)
+    return list(signature.parameters.values())
 
 
 def make_settings(who: str, kind: type[Settings], values: Mapping[str, Any]) -> Settings:
@@ -166,20 +176,47 @@ def check_settings_class(kind: type[Any], where: str) -> None:
     """
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise GeoEvsError(f"{where} has no dataclass Settings; write one, its fields the settings")
+    names = {field.name for field in dataclasses.fields(kind)}
+    for name, value in vars(kind).items():
+        plain = not name.startswith("_") and not callable(value) and not hasattr(value, "__get__")
+        if plain and name not in names and name not in kind.__annotations__:
+            raise GeoEvsError(f"{where}: the setting '{name}' has no type; write one, such as int")
     for field in dataclasses.fields(kind):
         if field.default is field.default_factory is dataclasses.MISSING:
             raise GeoEvsError(f"{where}: the setting '{field.name}' has no default; give it one")
-        if isinstance(field.type, str) or field.type is Any:
+        if not _can_be_checked(field.type):
             raise GeoEvsError(
                 f"{where}: the setting '{field.name}' has no type that can be checked; write one "
                 "such as int, without quotes"
             )
+        if section := _section_class(field.type):
+            check_settings_class(section, f"{where}: the section '{field.name}'")
+    check_fields(f"{where}: the default", kind())
+
+
+def _can_be_checked(annotation: Any) -> bool:
+    """Whether `_mistake` can tell a wrong value of an annotation from a right one."""
+    origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        return _can_be_checked(parts[0])
+    if origin in (typing.Union, types.UnionType):
+        return all(part is type(None) or _can_be_checked(part) for part in parts)
+    kind = origin or annotation
+    container = isinstance(kind, type) and issubclass(kind, Collection)
+    return origin is Literal or kind in PLAIN or container or _is_section(kind)
+
+
+def _section_class(annotation: Any) -> "type[DataclassInstance] | None":
+    """The dataclass that a mapping is a section of, if the annotation has one."""
+    union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
+    kinds = typing.get_args(annotation) if union else (annotation,)
+    return next((kind for kind in kinds if _is_section(kind)), None)
 
 
 def _check_section(
     who: str, key: tuple[str, ...], values: Mapping[str, Any], kind: "type[DataclassInstance]"
 ) -> None:
-    types_of = {field.name: field.type for field in dataclasses.fields(kind)}
+    types_of = {field.name: field.type for field in dataclasses.fields(kind) if field.init}
     _check_names(who, list(types_of), values, key)
     for name, value in values.items():
         _check_value(who, (*key, name), value, types_of[name])
@@ -195,8 +232,9 @@ def _check_names(
 
 
 def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) -> None:
-    if _is_section(annotation) and isinstance(value, Mapping):
-        _check_section(who, key, value, annotation)
+    section = _section_class(annotation)
+    if section and isinstance(value, Mapping):
+        _check_section(who, key, value, section)
         return
     if mistake := _mistake(value, annotation):
         text = "null" if value is None else repr(value)
@@ -226,10 +264,11 @@ def _mistake(value: Any, annotation: Any) -> str:
             if isinstance(value, annotation)
             else "write its settings as NAME: VALUE, indented under it"
         )
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return _mapping_mistake(value, parts)
-    if isinstance(origin, type) and issubclass(origin, Collection):
-        return _list_mistake(value, origin, parts)
+    kind = origin or annotation
+    if isinstance(kind, type) and issubclass(kind, Mapping):
+        return _mapping_mistake(value, parts or (Any, Any))
+    if isinstance(kind, type) and issubclass(kind, Collection):
+        return _list_mistake(value, kind, parts or (Any, ...))
     return ""
 
 
@@ -263,15 +302,20 @@ def _list_mistake(value: Any, origin: type, parts: tuple[Any, ...]) -> str:
 def _mapping_mistake(value: Any, parts: tuple[Any, ...]) -> str:
     if not isinstance(value, Mapping):
         return "write it as NAME: VALUE, indented under it"
-    reasons = (_mistake(item, parts[1]) for item in value.values())
-    return next(filter(None, reasons), "")
+    wrong_key = next(filter(None, (_mistake(key, parts[0]) for key in value)), "")
+    if wrong_key:
+        return f"of each name: {wrong_key}"
+    return next(filter(None, (_mistake(item, parts[1]) for item in value.values())), "")
 
 
 def _filled(settings: Settings, values: Mapping[str, Any]) -> Settings:
     """Settings with some values in place of their own, sections within them likewise."""
+    types_of = {field.name: field.type for field in dataclasses.fields(settings)}
     changes = {}
     for name, value in values.items():
-        now = getattr(settings, name)
-        section = dataclasses.is_dataclass(now) and isinstance(value, Mapping)
-        changes[name] = _filled(now, value) if section else value
+        section, now = _section_class(types_of[name]), getattr(settings, name)
+        if section and isinstance(value, Mapping):
+            changes[name] = _filled(section() if now is None else now, value)
+        else:
+            changes[name] = value
     return dataclasses.replace(settings, **changes)

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.plugins import find_plugins, load_plugin
+from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
 from geoevs.methods.contract import ORACLES, Adapter
 from geoevs.methods.training import Training, check_training_class
 
 FOLDERS = ("geoevs.generator", "baselines", "baselines.controls")
-"""Packages whose folders are methods; where two hold the same name, the earlier one wins."""
+"""Packages whose folders are methods."""
 
 
 def methods_root() -> Path:
@@ -62,8 +62,10 @@ def training_class(name: str) -> type[Training]:
             contract.
     """
     trainings = find_trainings()
-    kind = load_plugin("method that trains", name, trainings, "Training")
-    check_training_class(kind, trainings[name].replace(".", "/") + ".py")
+    path = trainings.get(name, "").replace(".", "/") + ".py"
+    with one_sentence(path):
+        kind = load_plugin("method that trains", name, trainings, "Training")
+        check_training_class(kind, path)
     return kind
 
 

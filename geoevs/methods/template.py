@@ -4,6 +4,8 @@ import keyword
 import re
 from pathlib import Path
 
+import yaml
+
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder, write_text
 from geoevs.methods.finding import check_free_name, find_methods
@@ -302,6 +304,8 @@ def new_adapter(name: str, root: Path, training: bool = False) -> list[Path]:
         )
     if keyword.iskeyword(module) or keyword.issoftkeyword(module):
         raise GeoEvsError(f"'{name}' is a word of Python's own; choose another name")
+    if yaml.safe_load(name) != name:
+        raise GeoEvsError(f"'{name}' is no text in YAML's eyes; choose another name")
     check_free_name(name)
     folder = root / "baselines" / module
     test = root / "tests" / "baselines" / f"test_{module}.py"

@@ -125,7 +125,11 @@ def check_training_class(kind: type[Any], where: str) -> None:
         if name not in READS:
             hint = did_you_mean(str(name), READS)
             raise GeoEvsError(f"{where}: a training cannot read '{name}'; {hint}")
-    if "prior" in kind.reads and "prior" not in {field.name for field in fields(kind.Settings)}:
+    if "variants" in {field.name for field in fields(kind.Settings)}:
         raise GeoEvsError(
-            f"{where}: it reads a prior, but Settings has no 'prior' that names it; add it"
+            f"{where}: 'variants' are trainings by name in every section; rename the setting"
+        )
+    if "prior" in kind.reads and not isinstance(getattr(kind.Settings(), "prior", None), str):
+        raise GeoEvsError(
+            f"{where}: it reads a prior, but Settings has no text 'prior' that names it; add it"
         )

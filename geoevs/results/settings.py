@@ -37,7 +37,7 @@ class TableSettings:
 
     @property
     def bootstrap(self) -> tuple[int, float]:
-        """Resamples and confidence."""
+        """What a bootstrap takes: the number of resamples, and the confidence."""
         return self.resamples, self.confidence
 
     @property

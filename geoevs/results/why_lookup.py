@@ -42,7 +42,7 @@ class Cell:
     dataset: str = ""
 
     def place(self) -> str:
-        """Its name in words."""
+        """What people call the cell: table, entrant, metric and bin."""
         return f"{self.table} {self.entrant} {self.metric} {self.bin}".strip()
 
 
@@ -95,17 +95,17 @@ class Record:
 
     @cached_property
     def scores(self) -> pd.DataFrame:
-        """Score rows."""
+        """The run's score rows, one a target and metric."""
         return self.read(layout.SCORES)
 
     @cached_property
     def costs(self) -> pd.DataFrame:
-        """Cost rows."""
+        """The run's cost rows, one a fit."""
         return self.read(layout.COSTS)
 
     @cached_property
     def entrants(self) -> Entrants:
-        """Who plays."""
+        """The run's entrants, as they describe themselves."""
         return Entrants.read(self.run / layout.ENTRANTS)
 
     def entrant_line(self, method: str, variant: str = DEFAULT) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.plugins import find_plugins, load_plugin
+from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
 from geoevs.scenes.camera import Camera
 
@@ -222,7 +222,9 @@ def source_class(name: str) -> type[SceneSource]:
     Raises:
         GeoEvsError: there is none; the sentence names the nearest one.
     """
-    return load_plugin("data source", name, find_sources(), "Source")
+    sources = find_sources()
+    with one_sentence(sources.get(name, "").replace(".", "/") + ".py"):
+        return load_plugin("data source", name, sources, "Source")
 
 
 def load_source(name: str, height: int, width: int, options: dict[str, Any]) -> SceneSource:

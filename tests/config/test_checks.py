@@ -178,7 +178,7 @@ MISTAKES = {
         "24: 'pose_bin' is not a known key; did you mean 'pose_bins'? (one of: ablation, ",
     ),
     "unknown key in a flow": ("every: 2", "evry: 2", "14: 'evry' is not a known key; did you "),
-    "a number as key": ("seed: 3", "3: seed", "2: '3' is not a known key; one of: budget, "),
+    "a number as key": ("seed: 3", "3: seed", "2: YAML does not read the key '3' as text; w"),
     "missing key": ("seed: 3\n", "", "the key 'seed' is missing at the top level; add it"),
     "missing nested key": (
         ", every: 2",

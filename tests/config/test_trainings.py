@@ -54,7 +54,8 @@ MISTAKES = {
     ),
     "a training of its own for a method that has none": (
         "methods: {geo-evs-support: {training: v3}}",
-        "over.yaml:1: there is no method that trains called 'geo-evs-support'; did you mean",
+        "over.yaml:1: method 'geo-evs-support' has no training of its own; name another method's "
+        "as METHOD/VARIANT (",
     ),
     "a training for a method that is not trained": (
         "methods: {reproject: {training: v3}}",
@@ -75,6 +76,14 @@ MISTAKES = {
     "a variant that another method has": (
         "methods: {freevs: {training: v3}}",
         "over.yaml:1: there is no training 'v3' under 'trainings.freevs.variants'; one of: default",
+    ),
+    "a training with too many parts": (
+        "methods: {geo-evs: {training: a/b/c}}",
+        "over.yaml:1: the training 'a/b/c' is not of the form VARIANT or METHOD/VARIANT; name one",
+    ),
+    "a training without a variant": (
+        "methods: {geo-evs: {training: geo-evs/}}",
+        "over.yaml:1: the training 'geo-evs/' is not of the form VARIANT or METHOD/VARIANT; name",
     ),
     "a variant with the name of the section": (
         "trainings:\n  geo-evs:\n    variants: {default: {}}",

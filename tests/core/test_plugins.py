@@ -3,17 +3,16 @@ import sys
 import pytest
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.plugins import find_plugins, load_plugin
+from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
 
 
 @pytest.fixture
 def packages(tmp_path, monkeypatch):
-    """Two packages of plugins: `one` has a-b and shared, `two` has shared and classless."""
+    """Two packages of plugins: `one` has a-b and broken, `two` has classless."""
     for package, folder, text in [
         ("one", "a_b", "class Method:\n    pass\n"),
-        ("one", "shared", "raise RuntimeError('imported')\n"),
-        ("two", "shared", ""),
+        ("one", "broken", "raise RuntimeError('imported')\n"),
         ("two", "classless", ""),
     ]:
         (tmp_path / package / folder).mkdir(parents=True)
@@ -29,9 +28,24 @@ def packages(tmp_path, monkeypatch):
 def test_plugins_are_folders_with_the_file_and_are_not_imported(packages):
     assert packages == {
         "a-b": "one.a_b.adapter",
-        "shared": "one.shared.adapter",
+        "broken": "one.broken.adapter",
         "classless": "two.classless.adapter",
     }
+
+
+@pytest.mark.parametrize("folder", ["a_b", "a-b"])
+def test_two_folders_of_one_name_are_refused(packages, tmp_path, folder):
+    (tmp_path / "two" / folder).mkdir()
+    (tmp_path / "two" / folder / "adapter.py").write_text("")
+    sentence = f"^{tmp_path}/two/{folder} has the name 'a-b', as one/a_b has; rename one folder$"
+    with pytest.raises(GeoEvsError, match=sentence):
+        find_plugins("adapter", "one", "two")
+
+
+def test_whatever_a_module_raises_becomes_one_sentence(packages):
+    sentence = r"^one/broken/adapter.py cannot be read \(RuntimeError: imported\); mend it$"
+    with pytest.raises(GeoEvsError, match=sentence), one_sentence("one/broken/adapter.py"):
+        load_plugin("method", "broken", packages, "Method")
 
 
 def test_loading_gives_the_class(packages):
@@ -50,7 +64,7 @@ def test_a_plugin_without_its_class_is_named(packages):
 
 def test_an_error_of_the_plugin_itself_is_not_hidden(packages):
     with pytest.raises(RuntimeError, match="imported"):
-        load_plugin("method", "shared", packages, "Method")
+        load_plugin("method", "broken", packages, "Method")
 
 
 def made(height, width, folder, steps=10):

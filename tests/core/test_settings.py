@@ -159,6 +159,31 @@ def test_what_was_made_by_hand_is_checked_too():
         Method(0)
 
 
+def test_an_annotation_in_quotes_is_read_where_its_names_are_known():
+    def make(size: "Count" = 3) -> None: ...
+
+    with pytest.raises(SettingError, match=r"^it cannot have 0 for its option 'size'; make it 1"):
+        check_options("it", make, {"size": 0})
+
+
+@dataclass
+class Plain:
+    some: list = field(default_factory=list)
+    named: dict = field(default_factory=dict)
+    maybe: Inner | None = None
+
+
+def test_plain_containers_and_sections_that_may_be_missing():
+    check_settings_class(Plain, "here")
+    assert make_settings("it", Plain, {"maybe": {"steps": 7}}).maybe == Inner(steps=7)
+    assert make_settings("it", Plain, {"maybe": None}).maybe is None
+    for values in ({"some": 3}, {"named": [1]}, {"maybe": {"steps": 0}}, {"maybe": 3}):
+        with pytest.raises(SettingError):
+            make_settings("it", Plain, values)
+    with pytest.raises(SettingError, match="of each name: write text"):
+        make_settings("it", Outer, {"names": {3: 3}})
+
+
 def test_a_section_of_the_config_has_types_and_defaults():
     @dataclass
     class NoDefault:
@@ -172,7 +197,27 @@ def test_a_section_of_the_config_has_types_and_defaults():
     class Untyped:
         steps: Any = 3
 
+    @dataclass
+    class Bare:
+        steps = 3
+
+    @dataclass
+    class Wrong:
+        steps: Count = 0
+
+    @dataclass
+    class Odd:
+        steps: complex = 1j
+
+    @dataclass
+    class Nested:
+        inner: Quoted = field(default_factory=Quoted)
+
     for kind, sentence in (
+        (Bare, r"^here: the setting 'steps' has no type; write one, such as int$"),
+        (Wrong, r"^here: the default cannot have 0 for its option 'steps'; make it 1 or more$"),
+        (Odd, r"^here: the setting 'steps' has no type that can be checked; "),
+        (Nested, r"^here: the section 'inner': the setting 'steps' has no type that can be chec"),
         (NoDefault, r"^here: the setting 'steps' has no default; give it one$"),
         (Quoted, r"^here: the setting 'steps' has no type that can be checked; "),
         (Untyped, r"^here: the setting 'steps' has no type that can be checked; "),

@@ -75,12 +75,25 @@ BROKEN = {
     ),
     "a prior that no setting names": (
         ("reads: ClassVar[tuple[str, ...]] = ()", 'reads = ("prior",)'),
-        "it reads a prior, but Settings has no 'prior' that names it; add it",
+        "it reads a prior, but Settings has no text 'prior' that names it; add it",
     ),
     "a setting without a default": (
         ("steps: Count = 200\n    batch: Count = 512\n    learning_rate: Positive = 1.0e-2",
          "steps: Count\n    batch: Count\n    learning_rate: Positive"),
         "the setting 'steps' has no default; give it one",
+    ),
+    "a syntax error": (("class Training:", "class Training"), "cannot be read (SyntaxError: "),
+    "a module that is not there": (
+        ("import numpy as np\n", "import numpy as np\nimport no_such_module\n"),
+        "cannot be read (ModuleNotFoundError: No module named 'no_such_module'); mend it",
+    ),
+    "an end of the process": (
+        ("import numpy as np\n", "import sys\n\nimport numpy as np\n\nsys.exit(3)\n"),
+        "cannot be read (SystemExit: 3); mend it",
+    ),
+    "a setting that is the section's own word": (
+        ("    steps: Count = 200\n", "    steps: Count = 200\n    variants: int = 3\n"),
+        "'variants' are trainings by name in every section; rename the setting",
     ),
     "a setting without a type": (
         ("steps: Count = 200", "steps: 'whatever' = 200"),

@@ -30,11 +30,25 @@ from geoevs.results.table_specs import TABLES
 from geoevs.scenes.scene import find_sources
 from snakemake.exceptions import WorkflowError
 
+
+def config_files():
+    """The files that the config was merged from, later ones winning, as named if they lie here.
+
+    Snakemake has the Snakefile's own last, which all that are given override.
+    """
+    *given, own = [Path(file).absolute() for file in workflow.configfiles]
+    paths = dict.fromkeys(given if own in given else [own, *given])
+    here = Path.cwd()
+    return [
+        path.relative_to(here) if path.is_relative_to(here) else path for path in paths
+    ]
+
+
 try:
     check_config(
         config,
         Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
-        [Path(file) for file in workflow.configfiles],
+        config_files(),
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
@@ -87,16 +101,6 @@ def every_scene(pattern, scenes=TEST_SCENES):
     return [
         in_run(pattern).format(dataset=dataset, scene=scene)
         for dataset, scene in scenes
-    ]
-
-
-def config_files():
-    """The files that the config was merged from, as they were named if they lie here."""
-    paths = [Path(file).absolute() for file in workflow.configfiles]
-    here = Path.cwd()
-    return [
-        str(path.relative_to(here) if path.is_relative_to(here) else path)
-        for path in dict.fromkeys(paths)
     ]
 
 

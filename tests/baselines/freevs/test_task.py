@@ -64,7 +64,7 @@ def test_points_show_what_is_there(clips):
 def test_a_clip_is_of_one_camera(clips):
     assert clips.starts(1).tolist() == [0, 1, 2, 3, 4, 5]
     assert clips.starts(2).tolist() == [0, 2, 4]
-    sentence = "no scene under partitions.clips has 3 frames; lower freevs.frames or name longer"
+    sentence = "no scene under partitions.clips has 3 frames; lower trainings.freevs.frames or name"
     with pytest.raises(GeoEvsError, match=f"^{sentence}"):
         clips.starts(3)
 
