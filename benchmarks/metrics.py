@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from geoevs.protocol.metrics import GMS, MAE, PSNR, SSIM, MaskedMean
+from geoevs.protocol.masked_means import MaskedMean
+from geoevs.protocol.metrics import GMS, MAE, PSNR, SSIM
 
 SIDE = 512
 ROUNDS = 9

@@ -24,7 +24,8 @@ from geoevs.core.randomness import Rng
 from geoevs.methods.contract import ORACLES
 from geoevs.projection import colour_points, project_points, zbuffer
 from geoevs.protocol.entries import OK, MethodEntry, read_outcomes
-from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM, MaskedMean
+from geoevs.protocol.masked_means import MaskedMean
+from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM
 from geoevs.protocol.stability_scoring import depth_edges
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.run import Answers

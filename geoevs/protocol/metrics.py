@@ -10,96 +10,15 @@ runs over the pixels' channels too.
 """
 
 import math
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
 
+from geoevs.protocol.masked_means import MaskedMean, MaskedPixelMean, precision_of, sum_of
 from geoevs.protocol.weights import missing_weights
-
-
-@dataclass
-class MaskedMean(ABC):
-    """A mean over valid pixels, or windows, of any number of images.
-
-    Every valid value weighs the same, whichever image it comes from.
-
-    Attributes:
-        data_range: the largest value of an image minus the smallest one it could have.
-        total: the sum so far.
-        count: how many values it sums.
-        higher_is_better: whether a larger value is the better one.
-    """
-
-    data_range: float = 1.0
-    total: float = field(default=0.0, init=False)
-    count: int = field(default=0, init=False)
-    higher_is_better: ClassVar[bool] = True
-
-    @abstractmethod
-    def update(
-        self,
-        preds: np.ndarray,  # [H, W, C]
-        target: np.ndarray,  # [H, W, C]
-        mask: np.ndarray,  # [H, W] bool
-    ) -> None:
-        """Add one image; values outside the mask do not count.
-
-        Args:
-            preds: the picture to score.
-            target: the truth, of the same shape; `data_range` is said of both.
-            mask: the valid pixels, all channels of each.
-        """
-
-    def compute(self) -> float:
-        """The metric over everything added; NaN where nothing was."""
-        return self.finish(self.total / self.count) if self.count else math.nan
-
-    def finish(self, mean: float) -> float:
-        """The metric in its own unit, from the mean over all that was added."""
-        return mean
-
-    @classmethod
-    def missing(cls) -> str:
-        """The reason why this machine cannot compute it, in one sentence; empty where it can."""
-        return ""
-
-
-def _precision(*images: np.ndarray) -> np.dtype:
-    """What arithmetic on images runs in: float32, unless one has more; sums are always float64."""
-    return np.result_type(np.float32, *images)
-
-
-def _sum(values: np.ndarray) -> float:
-    return float(values.sum(dtype=np.float64))
-
-
-class MaskedPixelMean(MaskedMean):
-    """Mean over valid pixels of an error that needs no neighbours; subclasses say which.
-
-    Attributes:
-        norm: OpenCV's name of the error that is summed over pixels and channels.
-        per_channel: whether the error is averaged over channels, not summed.
-    """
-
-    norm: ClassVar[int]
-    per_channel: ClassVar[bool] = True
-
-    def update(
-        self,
-        preds: np.ndarray,  # [H, W, C]
-        target: np.ndarray,  # [H, W, C]
-        mask: np.ndarray,  # [H, W] bool
-    ) -> None:
-        """Add one image's valid pixels."""
-        precision = _precision(preds, target)
-        x, y = (np.ascontiguousarray(image, precision) for image in (preds, target))
-        error = cv2.norm(x, y, self.norm, None if mask.all() else mask.astype(np.uint8))
-        self.total += error / preds.shape[-1] if self.per_channel else error
-        self.count += int(mask.sum())
 
 
 class MAE(MaskedPixelMean):
@@ -210,9 +129,9 @@ class SSIM(MaskedMean):
             norm, centres = _windows(mask)
             valid = mask[..., None]
             preds, target = np.where(valid, preds, 0.0), np.where(valid, target, 0.0)
-        precision = _precision(preds, target)
+        precision = precision_of(preds, target)
         similarity = self._similarity(preds.astype(precision), target.astype(precision), norm)
-        self.total += _sum(similarity if norm is None else similarity[centres]) / preds.shape[-1]
+        self.total += sum_of(similarity if norm is None else similarity[centres]) / preds.shape[-1]
         self.count += int(centres.sum())
 
     def _similarity(self, x: np.ndarray, y: np.ndarray, norm: np.ndarray | None) -> np.ndarray:
@@ -309,7 +228,7 @@ class GMS(MaskedMean):
         similarity = (2 * x * y + stability) / (x * x + y * y + stability)
         valid = (_sum_of_halves(mask.astype(np.uint8)) == 4).astype(np.uint8)
         whole = cv2.erode(valid, np.ones((3, 3)))[1:-1, 1:-1] == 1
-        self.total += _sum(similarity[whole])
+        self.total += sum_of(similarity[whole])
         self.count += int(whole.sum())
 
     @staticmethod
