@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.cli import geometry as commands
 from geoevs.cli import main as cli
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, write_arrays
 from geoevs.core.networks import read_network
+from geoevs.geometry import finetuning
 from geoevs.geometry.finetuning import FAR, read_depth_frames
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
 from geoevs.methods.tiny import HEIGHT, WIDTH
@@ -118,14 +118,14 @@ def test_a_killed_training_goes_on_to_the_same_bytes(train, small_vggt, tmp_path
     assert train("--start", small_vggt, "--out", whole)[0] == 0
 
     killed: list[float] = []
-    monkeypatch.setattr(commands, "training_bar", reporter(killed, stop=4))
+    monkeypatch.setattr(finetuning, "training_bar", reporter(killed, stop=4))
     with pytest.raises(Killed):
         train("--start", small_vggt, "--out", resumed, work="killed")
     assert not resumed.exists()
     assert (tmp_path / "killed/state.pt").exists()
 
     rest: list[float] = []
-    monkeypatch.setattr(commands, "training_bar", reporter(rest, stop=99))
+    monkeypatch.setattr(finetuning, "training_bar", reporter(rest, stop=99))
     assert train("--start", small_vggt, "--out", resumed, work="killed")[0] == 0
     # Three steps were saved before the fourth was killed.
     assert [math.isnan(loss) for loss in rest] == [True] * 3 + [False] * 3
