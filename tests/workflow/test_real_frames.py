@@ -19,8 +19,8 @@ def test_real_frames_run_too(workspace):
         " reproject-inpaint.all-frames: null, nearest-view: null,"
         " three-dgs: null, street-gaussians: null, emernerf: null}\n"
         "geometry: {finetune: {steps: 2}}\n"
-        "weights: weights\ntraining: {steps: 2, sampling: {steps: 1}}\n"
-        "freevs: {steps: 2, sampling: {steps: 1}}\n"
+        "weights: weights\n"
+        "trainings: {geo-evs: {steps: 2}, freevs: {steps: 2}}\n"
     )
     scale = ("config.yaml", "workflow/scales/pandaset.yaml", "small.yaml")
     run = workspace.snakemake("--configfile", *scale, "--", "tables")
