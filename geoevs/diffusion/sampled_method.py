@@ -1,5 +1,6 @@
 """What methods share whose pictures a trained network samples: weights, options, seed, files."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class SampledMethod:
+class SampledMethod(ABC):
     """Base of such methods; fields named as those of `sampling` are options, None by default.
 
     Args:
@@ -28,9 +29,9 @@ class SampledMethod:
     _sampling: Any = field(init=False)
     _seed: int = field(init=False)
 
+    @abstractmethod
     def _read_generator(self, folder: Path) -> Any:
         """The networks of a training's folder; a subclass knows their class."""
-        raise NotImplementedError
 
     def _load_trained(self) -> dict[str, Any]:
         """Read the networks, and how they sample: as trained, but for options that are given.

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -66,6 +66,13 @@ class Check:
     status: str
     sentence: str = ""
     traceback: str = ""
+
+
+OWN_FILES = ("adapter.py", "training.py")
+"""Where a method's own code begins: failures name the last line there."""
+
+Tried = TypeVar("Tried")
+"""What checks are run on: a method, or a training."""
 
 
 class BrokenContractError(Exception):
@@ -148,7 +155,12 @@ def check_adapter(name: str, options: dict[str, Any]) -> list[Check]:
             raise
         except Exception as error:
             return [_failure("import", error)]
-        return [_run(title, check, trial) for title, check in CHECKS.items()]
+        return [
+            Check(title, "skipped", "fit failed")
+            if check in AFTER_FIT and not trial.fitted
+            else run_check(title, check, trial)
+            for title, check in CHECKS.items()
+        ]
 
 
 def contract_failures(name: str, **options: object) -> list[str]:
@@ -157,9 +169,8 @@ def contract_failures(name: str, **options: object) -> list[str]:
     return [f"{check.name}: {check.sentence}" for check in checks if check.status == "failed"]
 
 
-def _run(title: str, check: Callable[[Trial], str | None], trial: Trial) -> Check:
-    if not trial.fitted and check in AFTER_FIT:
-        return Check(title, "skipped", "fit failed")
+def run_check(title: str, check: Callable[[Tried], str | None], trial: Tried) -> Check:
+    """Run one check on a trial; whatever the method raises is a failure of that check."""
     try:
         warning = check(trial)
     except BrokenContractError as broken:
@@ -172,7 +183,7 @@ def _run(title: str, check: Callable[[Trial], str | None], trial: Trial) -> Chec
 def _failure(title: str, error: Exception) -> Check:
     """A failed check from the method's own exception: what, and the last line of its own code."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if Path(frame.filename).name == "adapter.py"]
+    own = [frame for frame in frames if Path(frame.filename).name in OWN_FILES]
     place = (own or frames)[-1]
     where = f"{Path(place.filename).parent.name}/{Path(place.filename).name}:{place.lineno}"
     sentence = f"{reason_of(error)} (at {where})"

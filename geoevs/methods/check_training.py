@@ -8,15 +8,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from geoevs.core.code_hash import PACKAGES
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.settings import SettingError, make_settings
-from geoevs.methods.check import BrokenContractError, Check
+from geoevs.methods.check import BrokenContractError, Check, run_check
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.methods.trained import FAILURE_FILE, SECONDS_FILE
@@ -66,7 +64,8 @@ class TrainingTrial:
         kind = training_class(name)
         self.training = kind()
         names = {field.name for field in dataclasses.fields(kind.Settings)}
-        self.values = {name: STEPS for name in ("steps",) if name in names} | dict(values)
+        few = {"steps": STEPS} if "steps" in names else {}
+        self.values = few | dict(values)
         make_settings(f"the training of '{name}'", kind.Settings, self.values)
         self.files: list[Path] = []
 
@@ -111,7 +110,7 @@ def check_training(
         for title, check in TRAINING_CHECKS.items():
             failed = [done.name for done in checks if done.status == "failed"]
             skipped = Check(title, "skipped", f"{failed[0]} failed") if failed else None
-            checks.append(skipped or _run(title, check, trial))
+            checks.append(skipped or run_check(title, check, trial))
         trained = trial.folder / "out/whole"
         if trained.is_dir() and not (trained / FAILURE_FILE).exists():
             shutil.copytree(trained, weights)
@@ -135,17 +134,6 @@ def check_imports_no_torch(name: str) -> Check:
                 errors,
             )
     return Check(title, "passed")
-
-
-def _run(title: str, check: Callable[[TrainingTrial], str | None], trial: TrainingTrial) -> Check:
-    try:
-        warning = check(trial)
-    except BrokenContractError as broken:
-        return Check(title, "failed", str(broken))
-    except Exception as error:
-        kind = "" if isinstance(error, GeoEvsError) else f"{type(error).__name__}: "
-        return Check(title, "failed", f"{kind}{error}", traceback.format_exc())
-    return Check(title, "warned", warning) if warning else Check(title, "passed")
 
 
 def _check_settings(trial: TrainingTrial) -> None:
