@@ -3,6 +3,8 @@
 import difflib
 from collections.abc import Iterable
 
+from geoevs.core.text import clean
+
 
 class GeoEvsError(Exception):
     """Bad input or configuration. Its text is one sentence that names the culprit and the fix."""
@@ -14,7 +16,10 @@ def reason_of(error: BaseException) -> str:
     >>> reason_of(ValueError("two" + chr(10) + "lines"))
     'ValueError: two lines'
     """
-    message = " ".join(str(error).split()) or "no message"
+    try:
+        message = clean(str(error)) or "no message"
+    except Exception:  # a stranger's __str__
+        message = "no message"
     return message if isinstance(error, GeoEvsError) else f"{type(error).__name__}: {message}"
 
 
