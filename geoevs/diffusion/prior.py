@@ -10,7 +10,7 @@ from huggingface_hub.errors import HFValidationError
 from torch import Tensor
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.networks import load_weights, read_network, save_network
+from geoevs.core.networks import built_as_described, load_weights, read_network, save_network
 from geoevs.diffusion.autoencoder import Autoencoder
 from geoevs.diffusion.condition_encoder import ConditionEncoder, FrozenEncoder
 from geoevs.diffusion.denoiser import Denoiser
@@ -70,7 +70,7 @@ def load_autoencoder(path: Path) -> Autoencoder:
         GeoEvsError: the file is missing, damaged, or of another shape.
     """
     settings, weights = _read(path, {"block", "network"})
-    with torch.device("meta"):  # random weights would be made in vain
+    with built_as_described(path, REMAKE):
         autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
     load_weights(autoencoder, weights, path, REMAKE)
     return autoencoder.eval()
@@ -101,10 +101,11 @@ def save_denoiser(
 def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffusion]:
     """Read what `save_denoiser` wrote; a frozen encoder takes the autoencoder."""
     settings, weights = _read(path, {"unet", "encoder", "diffusion"})
-    encoder, diffusion = settings["encoder"], Diffusion(**settings["diffusion"])
+    encoder = settings["encoder"]
     if encoder == "frozen":
         encoder = FrozenEncoder(autoencoder)
-    with torch.device("meta"):  # random weights would be made in vain
+    with built_as_described(path, REMAKE):
+        diffusion = Diffusion(**settings["diffusion"])
         if isinstance(encoder, dict):
             encoder = ConditionEncoder(autoencoder, **encoder)
         unet = UNet2DConditionModel.from_config(settings["unet"])
@@ -115,10 +116,11 @@ def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffu
 
 def _public_prior(name: str) -> Prior:
     """Read a model in diffusers' layout from a folder or the local cache; nothing is downloaded."""
-    local = {"local_files_only": True}
+    # A .bin is a pickle, which could run anything.
+    local, whole = {"local_files_only": True}, {"use_safetensors": True}
     try:
-        network = AutoencoderKL.from_pretrained(name, subfolder="vae", **local)
-        unet = UNet2DConditionModel.from_pretrained(name, subfolder="unet", **local)
+        network = AutoencoderKL.from_pretrained(name, subfolder="vae", **local, **whole)
+        unet = UNet2DConditionModel.from_pretrained(name, subfolder="unet", **local, **whole)
         noise = DDIMScheduler.from_pretrained(name, subfolder="scheduler", **local).config
     except (OSError, ValueError, HFValidationError) as error:
         reason = " ".join(str(error).split())[:200]

@@ -5,9 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-import numpy as np
-
-from geoevs.core.files import whole_file, write_arrays
+from geoevs.core.files import open_arrays, whole_file, write_arrays
 
 Record = TypeVar("Record")
 
@@ -35,8 +33,7 @@ class Records(Generic[Record]):
 
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
-        with whole_file(path):
-            self._file = np.load(path, allow_pickle=False)
+        self._file = open_arrays(path)
 
     def __getitem__(self, key: str) -> Record:
         """The record of the target with this key."""

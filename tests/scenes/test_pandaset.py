@@ -273,7 +273,7 @@ def test_a_truncated_image_is_named(pandaset):
     path = pandaset / "777/camera/front_camera/03.jpg"
     path.write_bytes(path.read_bytes()[:-40])
 
-    assert f"{path} is not a whole image" in refusal(pandaset)
+    assert f"{path} is not a whole PNG or JPEG image" in refusal(pandaset)
 
 
 def test_a_missing_rig_camera_is_named(pandaset):
