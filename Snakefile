@@ -40,6 +40,7 @@ rule all:
 
 
 onstart:
+    lock_run()
     # No cluster's queue needs sparing, and the rate limiter of Snakemake 9.27 wakes the scheduler
     # once more a second for every job done: a third of a core after 300, beside fits that are timed.
     workflow.scheduler.job_rate_limiter = None

@@ -284,11 +284,16 @@ def whole_file(path: Path) -> Iterator[None]:
         raise GeoEvsError(f"{path} is not whole ({reason}); delete it and make it again") from error
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as a compressed .npz, whole or not at all (see `write_files`)."""
+def encode_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Named arrays as the bytes of a compressed .npz."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as a compressed .npz, whole or not at all (see `write_files`)."""
+    write_bytes(path, encode_arrays(arrays))
 
 
 def open_arrays(path: Path) -> "np.lib.npyio.NpzFile":

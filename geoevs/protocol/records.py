@@ -1,23 +1,37 @@
 """Files of what is known of many targets: one dataclass of arrays for each target key."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
+
 from geoevs.core.files import open_arrays, whole_file, write_arrays
+from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 
 Record = TypeVar("Record")
 
 
-def write_records(path: Path, records: Mapping[str, Any]) -> None:
-    """Write dataclasses of arrays, by target key, as one .npz, whole or not at all."""
+def record_arrays(records: Mapping[str, Any], made_with: Stamp) -> dict[str, np.ndarray]:
+    """The arrays of a file of records.
+
+    Args:
+        records: dataclasses of arrays, by target key.
+        made_with: what they were made with.
+    """
     arrays = {
         f"{key}/{field.name}": getattr(record, field.name)
         for key, record in records.items()
         for field in fields(record)
     }
-    write_arrays(path, arrays)
+    return {MADE_WITH: np.array(json.dumps(dict(made_with))), **arrays}
+
+
+def write_records(path: Path, records: Mapping[str, Any], made_with: Stamp = NOTHING) -> None:
+    """Write dataclasses of arrays, by target key, as one .npz, whole or not at all."""
+    write_arrays(path, record_arrays(records, made_with))
 
 
 class Records(Generic[Record]):
@@ -34,6 +48,14 @@ class Records(Generic[Record]):
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
         self._file = open_arrays(path)
+
+    @property
+    def made_with(self) -> Any:
+        """The stamp that `write_records` was given; None in files without."""
+        if MADE_WITH not in self._file:
+            return None
+        with whole_file(self._path):
+            return json.loads(str(self._file[MADE_WITH]))
 
     def __getitem__(self, key: str) -> Record:
         """The record of the target with this key."""

@@ -12,6 +12,7 @@ from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.locks import lock_folder
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
@@ -78,6 +79,14 @@ wildcard_constraints:
     trainer="[^/]+",
     training="[^/.]+",
     seed="[0-9]+",
+
+
+def lock_run():
+    """Refuse to work on a run that another Snakemake works on; its own lock outlives a kill."""
+    try:
+        lock_folder(Path(RUN))
+    except GeoEvsError as mistake:
+        raise WorkflowError(str(mistake)) from None
 
 
 def in_run(pattern):
