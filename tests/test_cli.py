@@ -87,8 +87,7 @@ def test_failures_are_those_of_the_run_and_of_its_stability_suite(geoevs, tmp_pa
 def test_the_log_keeps_the_traceback(geoevs, tmp_path):
     log = tmp_path / "logs" / "a.log"
     _, _, errors = geoevs("--log", log, "failures", tmp_path)
-    # A folder is no Parquet file.
-    assert errors.startswith(f"error: {tmp_path} is not whole (")
+    assert errors.startswith(f"error: {tmp_path} is a folder, not a file")
     assert errors.count("\n") == 1
     assert log.read_text().startswith(f"{errors}\nTraceback")
 

@@ -53,11 +53,13 @@ def stress(
 
 def stability_targets(scene: SceneFolder, settings: Settings, out: Out) -> None:
     """List the views that stability is tested on."""
+    from geoevs.protocol.provenance import targets_stamp
     from geoevs.protocol.stability import stability_targets as make_targets
     from geoevs.protocol.targets import write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), parse_json("--settings", settings)))
+    asked, store = parse_json("--settings", settings), Scene(scene)
+    write_targets(out, make_targets(store, asked), targets_stamp(store, asked, 0))
 
 
 def stability_render(
@@ -92,14 +94,17 @@ def stability_score(
     out: Out,
     variant: str = "default",
     seed: Seed = 0,
+    run_seed: Annotated[int, typer.Option(min=0, help="The config's seed.")] = 0,
 ) -> None:
     """Score what a method rendered under all stresses of a group."""
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.provenance import check_answers
     from geoevs.protocol.stability_scoring import score_stresses
     from geoevs.run import Answers
 
     entry, clean = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    check_answers(clean, run_seed)
     write_parquet(out, score_stresses(entry, group, clean, parse_json("--settings", settings)))
 
 

@@ -42,15 +42,18 @@ def scene(
     out: Out,
     depths: Annotated[Path, typer.Option(help="Where dense true depth goes, if known.")],
     options: Options = "{}",
+    data: Annotated[str, typer.Option(help="Hash of the files that it is read from.")] = "none",
 ) -> None:
     """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
     from geoevs.projection.coloured_scenes import write_coloured_scene
+    from geoevs.protocol.provenance import scene_stamp
     from geoevs.scenes.scene import SceneRef, load_source
 
-    data = load_source(source, height, width, parse_json("--options", options))
-    record = data.open(SceneRef.parse(name))
+    settings = parse_json("--options", options)
+    record = load_source(source, height, width, settings).open(SceneRef.parse(name))
+    made_with = scene_stamp(source, name, (height, width), settings, data)
     with progress_bar(f"scene {name}", record.frame_count) as advance:
-        write_coloured_scene(out, depths, record, advance)
+        write_coloured_scene(out, depths, record, advance, made_with)
 
 
 def targets(
@@ -60,10 +63,13 @@ def targets(
     seed: Seed = 0,
 ) -> None:
     """List the views to synthesise: observed, interpolation, extrapolation, sweep and masked."""
+    from geoevs.protocol.provenance import targets_stamp
     from geoevs.protocol.targets import make_targets, write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), parse_json("--protocol", protocol), seed))
+    settings, store = parse_json("--protocol", protocol), Scene(scene)
+    made_with = targets_stamp(store, settings, seed)
+    write_targets(out, make_targets(store, settings, seed), made_with)
 
 
 def truth(
@@ -97,11 +103,14 @@ def references(
 
     The masks that degrade the conditions of masked targets come with it, in a file of their own.
     """
+    from geoevs.protocol.provenance import references_stamp
     from geoevs.protocol.reference import write_references
     from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    write_references(out, masks, Scene(scene), read_targets(targets), seed)
+    store = Scene(scene)
+    made_with = references_stamp(store, targets, seed)
+    write_references(out, masks, store, read_targets(targets), seed, made_with)
 
 
 def fit(
@@ -154,16 +163,19 @@ def score(
     costs: Annotated[Path, typer.Option(help="Where the cost rows go.")],
     variant: str = "default",
     seed: Seed = 0,
+    run_seed: Annotated[int, typer.Option(min=0, help="The config's seed.")] = 0,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
     from geoevs.core.files import write_bytes
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.provenance import check_answers
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
     from geoevs.protocol.scoring import cost_rows, score_method
     from geoevs.run import Answers
 
     settings = parse_json("--protocol", protocol)
     entry, answers = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    check_answers(answers, run_seed, settings)
     fingerprint = protocol_fingerprint(answers.scene, settings)
     rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
     write_bytes(out, score_frame(rows).to_parquet(index=False))

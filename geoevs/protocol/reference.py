@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from geoevs.core.files import encode_arrays, write_files
 from geoevs.core.randomness import Rng
+from geoevs.core.stamps import NOTHING, Stamp
 from geoevs.projection import zbuffer
 from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
-from geoevs.protocol.records import Records, write_records
+from geoevs.protocol.records import Records, record_arrays
 from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.store import Scene
@@ -77,7 +79,12 @@ def sparse_reference(
 
 
 def write_references(
-    references: Path, masks: Path, scene: Scene, targets: list[Target], seed: int
+    references: Path,
+    masks: Path,
+    scene: Scene,
+    targets: list[Target],
+    seed: int,
+    made_with: Stamp = NOTHING,
 ) -> None:
     """Write a scene's sparse references, and the masks that degrade conditions of masked targets.
 
@@ -90,10 +97,16 @@ def write_references(
         scene: the clean scene.
         targets: all of the scene's.
         seed: decides which pixels a thinned reference keeps.
+        made_with: what both files say that they were made with.
     """
     reprojection = RawReprojection(scene)
-    write_records(references, make_references(scene, targets, reprojection, seed))
-    write_records(masks, make_condition_masks(targets, reprojection))
+    records = {
+        references: make_references(scene, targets, reprojection, seed),
+        masks: make_condition_masks(targets, reprojection),
+    }
+    write_files(
+        {path: encode_arrays(record_arrays(some, made_with)) for path, some in records.items()}
+    )
 
 
 def make_references(

@@ -7,6 +7,7 @@ from pathlib import Path
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, write_json
 from geoevs.core.randomness import Rng
+from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 from geoevs.scenes.camera import Camera, angle_between, view_key
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
@@ -162,8 +163,11 @@ def _target(split: str, frame: int, camera: Camera, front: Camera, shift: float)
     return Target(split, frame, camera, ALL_CAMERAS, offset, shift)
 
 
-def write_targets(path: Path, targets: list[Target]) -> None:
-    """Write targets as JSON, cameras in nerfstudio's fields, whole or not at all."""
+def write_targets(path: Path, targets: list[Target], made_with: Stamp = NOTHING) -> None:
+    """Write targets as JSON, cameras in nerfstudio's fields, whole or not at all.
+
+    Each says what the list was made with.
+    """
     entries = [
         {
             "split": target.split,
@@ -174,6 +178,7 @@ def write_targets(path: Path, targets: list[Target]) -> None:
             "lateral_shift": target.lateral_shift,
             "mask_camera": _optional_to_json(target.mask_camera),
             **camera_to_json(target.camera),
+            MADE_WITH: dict(made_with),
         }
         for target in targets
     ]

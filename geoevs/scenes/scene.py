@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
+from geoevs.core.stamps import Stamp
 from geoevs.scenes.camera import Camera
 
 LIDAR_SPLITS = ("sensor", "beam")
@@ -124,7 +126,8 @@ class Rig:
 class SceneInfo:
     """A scene's name, source, licence, rig and cameras.
 
-    `origin` is what was subtracted from its source's coordinates, in metres (see `scene_origin`).
+    `origin` is what was subtracted from its source's coordinates, in metres (see `scene_origin`);
+    `made_with` tells the settings and the data of the store.
     """
 
     name: str
@@ -133,6 +136,7 @@ class SceneInfo:
     rig: Rig
     cameras: tuple[str, ...]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    made_with: Stamp = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,13 @@ class SceneSource(Protocol):
 
         Raises:
             GeoEvsError: there can be no such scene.
+        """
+        ...
+
+    def files(self, scene: "SceneRef") -> Iterable[Path]:
+        """The files and folders that a scene is read from; none where it is made.
+
+        They are only listed, so that a change of one is noticed; nothing need be there.
         """
         ...
 

@@ -4,7 +4,7 @@ transforms.json            nerfstudio's format, plus camera, frame, timestamp an
 images/<camera>/<frame>.png
 lidar/<frame>.npz          xyz, rgb, camera, sensor, beam (see PointCloud)
 tracks.parquet             boxes, one row a frame and track (see TRACK_COLUMNS)
-scene.json                 name, source, licence, rig, cameras, origin; written last
+scene.json                 name, source, licence, rig, cameras, origin, made_with; written last
 """
 
 import dataclasses
@@ -30,6 +30,7 @@ from geoevs.core.files import (
     write_image,
     write_json,
 )
+from geoevs.core.hashes import file_hash, text_hash
 from geoevs.core.names import inside
 from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, view_key
@@ -147,7 +148,8 @@ def write_scene(
             raise GeoEvsError(f"scene '{info.name}' has no frames; check its frame range")
         write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
         write_json(partial / "transforms.json", {"camera_model": "OPENCV", "frames": entries})
-        write_json(partial / "scene.json", dataclasses.asdict(info))
+        described = {**vars(info), "rig": vars(info.rig), "made_with": dict(info.made_with)}
+        write_json(partial / "scene.json", described)
 
 
 def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
@@ -173,10 +175,11 @@ def _read_info(path: Path) -> SceneInfo:
         rig, cameras = Rig(**described["rig"]), tuple(described["cameras"])
         origin = tuple(described.get("origin", (0.0, 0.0, 0.0)))
         described = {**described, "rig": rig, "cameras": cameras, "origin": origin}
+        described["made_with"] = dict(described.get("made_with", {}))
         info = SceneInfo(**described)
     except GeoEvsError as error:
         raise GeoEvsError(f"{path}: {error}") from error
-    except (AttributeError, KeyError, TypeError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise GeoEvsError(
             f"{path} describes no scene ({clean(str(error))}); remake the store"
         ) from error
@@ -260,6 +263,12 @@ class Scene:
             check_rig(
                 self.info.rig, {name: self.camera(name, frame) for name in self.cameras}, where
             )
+
+    @cached_property
+    def stamp(self) -> str:
+        """Hash of what the store says of itself: what it was made with, its cameras and poses."""
+        files = ("scene.json", "transforms.json")
+        return text_hash(" ".join(file_hash(self.folder / name) for name in files))
 
     def camera(self, name: str, frame: int) -> Camera:
         """The calibrated camera `name` in `frame`."""

@@ -12,11 +12,14 @@ from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.hashes import outside_hash
 from geoevs.core.locks import lock_folder
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
 from geoevs.methods.contract import ORACLES
+from geoevs.core.stamps import check_stamp
+from geoevs.protocol.provenance import made_with, scene_stamp, target_settings
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
@@ -28,8 +31,9 @@ from geoevs.protocol.stability import (
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.manifest import cached_repository, hash_path
 from geoevs.results.table_specs import TABLES
-from geoevs.scenes.scene import find_sources
+from geoevs.scenes.scene import SceneRef, find_sources, load_source
 from snakemake.exceptions import WorkflowError
+from snakemake.io import IOFile
 
 
 def config_files():
@@ -168,15 +172,71 @@ def every_result(pattern):
     ]
 
 
-def scene_arguments(wildcards):
-    """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
+def scene_of(wildcards):
+    """A scene's source, its name there, and the source's options."""
     dataset = config["datasets"][wildcards.dataset]
     name, changed = world_options(wildcards.scene)
-    options = dataset["options"] | changed
+    return dataset["source"], name, dataset["options"] | changed
+
+
+def scene_arguments(wildcards):
+    """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
+    source, name, options = scene_of(wildcards)
     return (
-        f"--source {dataset['source']} --name {name} --height {HEIGHT} "
+        f"--source {source} --name {name} --height {HEIGHT} "
         f"--width {WIDTH} --options {shlex.quote(json.dumps(options))}"
     )
+
+
+def scene_data(wildcards):
+    """Hash of the files that a scene is read from; where they are gone, the one in its store."""
+    source, name, options = scene_of(wildcards)
+    reader = load_source(source, HEIGHT, WIDTH, options)
+    files = list(reader.files(SceneRef.parse(name)))
+    store = Path(in_run(layout.SCENE).format(**wildcards)) / "scene.json"
+    if files and store.exists() and not any(map(Path.exists, files)):
+        return (made_with(store) or {}).get("data", "none")
+    return outside_hash(files) if files else "none"
+
+
+def scene_made_with(wildcards):
+    """What the config and the data say that a scene store is made with."""
+    source, name, options = scene_of(wildcards)
+    data = scene_data(wildcards)
+    return scene_stamp(source, name, (HEIGHT, WIDTH), options, data)
+
+
+def targets_made_with(wildcards):
+    """What the config says that a target list is made with, besides a scene."""
+    return {"settings": target_settings(config["protocol"], config["seed"])}
+
+
+def stability_targets_made_with(wildcards):
+    """The same for target lists of the stability suite."""
+    settings = clean_settings(config["stability"], wildcards.scene)
+    return {"settings": target_settings(settings, 0)}
+
+
+def recorded(pattern, expected, file=""):
+    """An input function that refuses what the config would make otherwise, and nobody remakes.
+
+    Snakemake makes a file again when its settings change, as long as it has a record of them.
+    Without one, what the file itself says decides.
+    """
+
+    def no_more_input(wildcards):
+        output = in_run(pattern).format(**wildcards)
+        path = Path(output) / file
+        if not workflow.is_main_process or not path.is_file():
+            return []
+        if workflow.persistence.metadata(IOFile(output, rule=None)) is None:
+            try:
+                check_stamp(path, made_with(path), expected(wildcards))
+            except GeoEvsError as mistake:
+                raise WorkflowError(str(mistake)) from None
+        return []
+
+    return no_more_input
 
 
 def source_code(module):

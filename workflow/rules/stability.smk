@@ -13,6 +13,7 @@ ruleorder: stability_targets > targets
 
 rule stability_targets:
     input:
+        recorded(layout.TARGETS, stability_targets_made_with),
         scene=in_run(layout.SCENE),
     output:
         in_run(layout.TARGETS),
@@ -78,11 +79,12 @@ rule stability_score:
     params:
         entry=stability_arguments,
         run=lambda wildcards, output: RUN,
+        seed=config["seed"],
         code=code_hash("geoevs.protocol.stability_scoring"),
     shell:
         "geoevs --log {log:q} stability-score --run {params.run:q}"
         " --dataset {wildcards.dataset:q} --scene {wildcards.scene:q} {params.entry}"
-        " --out {output:q}"
+        " --run-seed {params.seed} --out {output:q}"
 
 
 rule stability_scores:

@@ -29,7 +29,7 @@ RELEASED_FOCAL = {
 }
 """Pixels of the focal lengths at RELEASED_SIZE, rounded. They tell which size a K belongs to."""
 
-RELEASED_TOLERANCE, SCALED_TOLERANCE = 0.05, 0.005
+RELEASED_TOLERANCE, SCALED_TOLERANCE = 0.25, 0.005
 """Shares by which the size that a K belongs to may differ from that of its image: one as released,
 whose camera may have been calibrated anew, and one that somebody scaled."""
 

@@ -1,7 +1,7 @@
 """PandaSet sequences in the folder format of their public release (see docs/pandaset.md)."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -67,6 +67,11 @@ class Source:
 
     def check(self, scene: SceneRef) -> None:
         """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
+
+    def files(self, scene: SceneRef) -> Iterable[Path]:
+        """The folders of its sensors and boxes."""
+        folder = self.folder / scene.name
+        return [folder / part for part in ("camera", "lidar", "annotations/cuboids")]
 
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open one sequence; its boxes are read now, its images and sweeps as they are iterated.
