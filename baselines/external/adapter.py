@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, read_json, write_json
+from geoevs.core.names import check_name
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera, view_key
@@ -43,8 +44,10 @@ class Method:
         """Read the image of that target.
 
         Raises:
-            GeoEvsError: it is missing, no image, or of another size.
+            GeoEvsError: it is missing, no image, or of another size; or the target's name could
+                lead out of the folder.
         """
+        check_name(camera.name, "target", "the views to render")
         folder = Path(self.folder).expanduser() / self.scene
         path = folder / f"{view_key(camera.name, frame)}.png"
         image = read_image(path)
@@ -62,8 +65,16 @@ class Method:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Restore the method from the folder that `save` filled; the images stay where they lie."""
-        place = read_json(folder / "external.json")
+        """Restore the method from the folder that `save` filled; the images stay where they lie.
+
+        Raises:
+            GeoEvsError: what `save` wrote is missing or was changed.
+        """
+        path = folder / "external.json"
+        place = read_json(path)
+        texts = isinstance(place, dict) and isinstance(place.get("folder"), str)
+        if not texts or "\0" in place["folder"]:
+            raise GeoEvsError(f"{path} names no folder of images; fit the method again")
         method = cls(place["folder"])
-        method.scene = place["scene"]
+        method.scene = check_name(place.get("scene"), "scene", path)
         return method

@@ -8,10 +8,30 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import open_arrays, whole_file, write_arrays
 from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 
 Record = TypeVar("Record")
+
+
+def check_array(array: np.ndarray, what: str, kinds: str, shape: tuple[int | None, ...]) -> None:
+    """Check an array of a record, for its dataclass's `check`.
+
+    Args:
+        array: as it was read.
+        what: it is called, for errors.
+        kinds: letters of `numpy.dtype.kind` that it may have.
+        shape: its shape; None for any length of an axis.
+
+    Raises:
+        GeoEvsError: it is of another type or shape, or not finite.
+    """
+    fits = array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+    )
+    if array.dtype.kind not in kinds or not fits or not np.isfinite(array).all():
+        raise GeoEvsError(f"its array '{what}' is {array.dtype} of shape {array.shape}, or has NaN")
 
 
 def record_arrays(records: Mapping[str, Any], made_with: Stamp) -> dict[str, np.ndarray]:
@@ -37,7 +57,7 @@ def write_records(path: Path, records: Mapping[str, Any], made_with: Stamp = NOT
 class Records(Generic[Record]):
     """The records in a file of `write_records`, read one target at a time.
 
-    Subclasses set `kind`, the dataclass of a record.
+    Subclasses set `kind`, the dataclass of a record, whose `check` refuses what it cannot hold.
 
     Raises:
         GeoEvsError: the file is missing or not whole.
@@ -58,7 +78,13 @@ class Records(Generic[Record]):
             return json.loads(str(self._file[MADE_WITH]))
 
     def __getitem__(self, key: str) -> Record:
-        """The record of the target with this key."""
+        """The record of the target with this key.
+
+        Raises:
+            GeoEvsError: the file has none, or one whose arrays the record refuses.
+        """
         with whole_file(self._path):
             arrays = {field.name: self._file[f"{key}/{field.name}"] for field in fields(self.kind)}
-        return self.kind(**arrays)
+            record = self.kind(**arrays)
+            record.check()
+        return record

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import encode_arrays, write_files
 from geoevs.core.randomness import Rng
 from geoevs.core.stamps import NOTHING, Stamp
 from geoevs.projection import zbuffer
 from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
-from geoevs.protocol.records import Records, record_arrays
+from geoevs.protocol.records import Records, check_array, record_arrays
 from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
+from geoevs.scenes.checks import check_sensors
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.store import Scene
 
@@ -34,6 +36,27 @@ class SparseReference:
     footprint: np.ndarray  # [N] bool
     rank: np.ndarray  # [N] float32
     reprojected: np.ndarray  # [H, W] bool
+
+    def check(self) -> None:
+        """Check what was read of a file.
+
+        Raises:
+            GeoEvsError: an array is of another type, shape or range.
+        """
+        check_array(self.reprojected, "reprojected", "b", (None, None))
+        check_array(self.pixels, "pixels", "iu", (None,))
+        count = len(self.pixels)
+        check_array(self.rgb, "rgb", "f", (count, 3))
+        check_array(self.footprint, "footprint", "b", (count,))
+        check_array(self.rank, "rank", "f", (count,))
+        if count and not (
+            self.pixels[0] >= 0
+            and (np.diff(self.pixels.astype(np.int64)) > 0).all()
+            and self.pixels[-1] < self.reprojected.size
+            and min(self.rgb.min(), self.rank.min()) >= 0
+            and max(self.rgb.max(), self.rank.max()) <= 1
+        ):
+            raise GeoEvsError("its pixels, colours or ranks are out of range")
 
     def image(self) -> np.ndarray:
         """(H, W, 3) float32: R of the paper, zero where invalid."""
@@ -112,11 +135,16 @@ def write_references(
 def make_references(
     scene: Scene, targets: list[Target], reprojection: RawReprojection, seed: int
 ) -> dict[str, SparseReference]:
-    """The references of every virtual target, by target key."""
+    """The references of every virtual target, by target key.
+
+    Raises:
+        GeoEvsError: a frame's LiDAR cannot score methods or condition them.
+    """
     references = {}
     virtual = virtual_targets(targets)
     for frame in scene.frames:
         points = scene.points(frame)
+        check_sensors(scene.info.rig, points, f"{scene.folder}: frame {frame}")
         scoring = points.select(scene.info.rig.scores(points))
         for target in (target for target in virtual if target.frame == frame):
             if target.sources != ALL_CAMERAS:

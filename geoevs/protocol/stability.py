@@ -10,7 +10,7 @@ from geoevs.core.files import new_folder, write_json
 from geoevs.protocol.entries import MethodEntry, failed
 from geoevs.protocol.isolate import MethodFailedError, run_isolated
 from geoevs.protocol.stressors import STRESSORS, stressor_named
-from geoevs.protocol.targets import ALL_CAMERAS, Target
+from geoevs.protocol.targets import ALL_CAMERAS, Target, check_distinct
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
@@ -135,6 +135,7 @@ def stability_targets(scene: Scene, settings: dict[str, Any]) -> list[Target]:
             for angle in levels_of("yaw", settings):
                 turned = virtual_camera(front, camera, angle, 0.0, f"{side}-{angle:g}deg")
                 targets.append(_target("yaw", frame, turned, front, 0.0))
+    check_distinct([target.key for target in targets], f"scene '{scene.info.name}'")
     return targets
 
 

@@ -227,6 +227,16 @@ def _fault(name: str) -> str:
     return f"of a '{name}' that is not within {low:g} and {high:g}"
 
 
+def check_depth(depth: np.ndarray, where: Where) -> None:
+    """Check a depth map.
+
+    Raises:
+        GeoEvsError: it is no (H, W) of floats, or has NaN, infinite or negative metres.
+    """
+    if depth.ndim != 2 or depth.dtype.kind != "f" or not ((depth >= 0) & (depth < np.inf)).all():
+        raise GeoEvsError(f"{where} is no map of finite metres, 0 or more; make it again")
+
+
 def check_sensors(rig: Rig, points: PointCloud, where: Where) -> None:
     """Check that a frame's LiDAR can score methods and can condition them.
 

@@ -59,9 +59,10 @@ def read_camera(
     values = read_json(path)
     with _explain(path):
         fx, fy, cx, cy = (number(values[name], name, "K") for name in ("fx", "fy", "cx", "cy"))
+    _check_size(folder.name, fx, fy, height, width, image)
+    with _explain(path):
         K = np.array([[fx, 0, cx + CENTRE_SHIFT], [0, fy, cy + CENTRE_SHIFT], [0, 0, 1]])
         camera = Camera(K, np.eye(4), height, width, folder.name)
-    _check_size(folder.name, fx, fy, height, width, image)
     path = folder / "poses.json"
     pose = read_pose(path, frame)
     pose[:3, 3] -= origin
@@ -71,7 +72,7 @@ def read_camera(
 
 def _check_size(name: str, fx: float, fy: float, height: int, width: int, image: Path) -> None:
     """Refuse an image of another size than that which its focal lengths belong to."""
-    if name not in RELEASED_FOCAL:
+    if name not in RELEASED_FOCAL or min(fx, fy) <= 0:  # Camera refuses the latter
         return
     size, released = np.array([height, width]), np.array(RELEASED_SIZE)
     belongs = released * [fy, fx] / RELEASED_FOCAL[name]
@@ -79,7 +80,7 @@ def _check_size(name: str, fx: float, fy: float, height: int, width: int, image:
     if (np.abs(size - belongs) > tolerance * released).any():
         raise GeoEvsError(
             f"{image} is {width} x {height}, but the focal lengths in intrinsics.json belong to an "
-            f"image of {belongs[1]:.0f} x {belongs[0]:.0f}; copy images and intrinsics as they "
+            f"image of {belongs[1]:.4g} x {belongs[0]:.4g}; copy images and intrinsics as they "
             f"were released ({released[1]} x {released[0]}), or scale both"
         )
 
