@@ -1,12 +1,11 @@
 """Checking a config's entrants: their methods, options and trainings."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from geoevs.config.entrants import method_entries
-from geoevs.config.files import located
 from geoevs.config.partitions import partition_scenes
+from geoevs.config.places import Origin, located
 from geoevs.config.trainings import check_named, variants
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import SettingError, check_options
@@ -15,7 +14,7 @@ from geoevs.methods.finding import find_methods, find_trainings, method_class, t
 from geoevs.protocol.entries import MethodEntry
 
 
-def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+def check_methods(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
     """Check that every entrant exists and is told apart, and can be made with its options.
 
     Raises:
@@ -29,9 +28,20 @@ def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 f"{path}: '{name}' is the control that copies the answer, so this method would "
                 "never run; rename its folder"
             )
-    labels = set()
-    for entry in method_entries(config):
-        with located(("methods", entry.name), files):
+    entries = method_entries(config)
+    if not entries:
+        with located(("methods",), origins):
+            raise GeoEvsError("there is no method to run; give one of them {} in place of null")
+    labels: set[str] = set()
+    checked: set[str] = set()
+    for entry in entries:
+        with located(("methods", entry.name), origins):
+            if entry.label in labels:
+                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
+            labels.add(entry.label)
+            if entry.name in checked:
+                continue  # another seed
+            checked.add(entry.name)
             if entry.method not in (*ORACLES, *found):
                 raise GeoEvsError(
                     f"there is no method '{entry.method}'; "
@@ -41,9 +51,6 @@ def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
             _check_training(config, entry)
             check_method_options(entry)
-            if entry.label in labels:
-                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
-            labels.add(entry.label)
 
 
 def check_method_options(entry: MethodEntry) -> None:

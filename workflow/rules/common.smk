@@ -34,10 +34,14 @@ from snakemake.exceptions import WorkflowError
 def config_files():
     """The files that the config was merged from, later ones winning, as named if they lie here.
 
-    Snakemake has the Snakefile's own last, which all that are given override.
+    Snakemake has the Snakefile's own last, if it is there, but all that are given override it.
     """
-    *given, own = [Path(file).absolute() for file in workflow.configfiles]
-    paths = dict.fromkeys(given if own in given else [own, *given])
+    given = [Path(file) for file in workflow.config_settings.configfiles]
+    own = [Path(file).absolute() for file in workflow.configfiles[len(given) :]]
+    if workflow.config_settings.replace_workflow_config and given:
+        own = []
+    # Of a file that is named twice the last place counts.
+    paths = reversed(dict.fromkeys(reversed([*own, *given])))
     here = Path.cwd()
     return [
         path.relative_to(here) if path.is_relative_to(here) else path for path in paths
@@ -49,6 +53,7 @@ try:
         config,
         Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
         config_files(),
+        workflow.config_settings.config,
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
