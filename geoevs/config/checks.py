@@ -13,10 +13,11 @@ from geoevs.config.datasets import check_datasets
 from geoevs.config.entrants import stability_entries
 from geoevs.config.methods import check_method_options, check_methods
 from geoevs.config.partitions import partition_scenes
-from geoevs.config.places import ConfigFile, Origin, locate, located
+from geoevs.config.places import COMMAND_LINE, ConfigFile, Origin, locate, located
 from geoevs.config.trainings import check_trainings
 from geoevs.config.values import check_values, explain
 from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.names import expanded
 from geoevs.core.settings import check_options
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.methods.contract import ORACLES
@@ -68,7 +69,10 @@ def check_config(
     )
     if mistakes:
         key, problem = explain(mistakes[0])
-        raise GeoEvsError(f"{locate(key, origins)}: {problem}")
+        place = locate(key, origins)
+        if place == COMMAND_LINE and len(key) > 1:
+            problem += "; `--config` takes all that is in a section for text, so write a file"
+        raise GeoEvsError(f"{place}: {problem}")
     check_datasets(config, origins)
     _check_masks(config, origins)
     _check_geometry(config, origins)
@@ -114,7 +118,21 @@ def _check_masks(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
         )
 
 
+def _check_weights(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
+    """They are inputs of rules, where braces are wildcards."""
+    for key, path in (
+        (("weights",), config["weights"]),
+        (("geometry", "weights"), config["geometry"]["weights"]),
+    ):
+        if path is not None and set("{}") & set(str(expanded(path))):
+            raise GeoEvsError(
+                f"{locate(key, origins)}: '{path}' has braces, which Snakemake takes for "
+                "wildcards; rename the folder"
+            )
+
+
 def _check_geometry(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
+    _check_weights(config, origins)
     geometry = config["geometry"]
     model = geometry["model"]
     with located(("geometry", "model"), origins):

@@ -124,10 +124,11 @@ def _not_yaml(path: Path, text: str, mistake: yaml.MarkedYAMLError) -> GeoEvsErr
     mark = mistake.problem_mark or mistake.context_mark
     line = mark.line + 1 if mark else 1
     found = text.split("\n")[line - 1 : line]
-    tabs = any("\t" in part for part in found)
-    advice = "indent with spaces, not tabs" if tabs else "check brackets, quotes and indentation"
+    advice = "check brackets, quotes and indentation above it"
+    if any("\t" in part for part in found):
+        advice = "indent with spaces in place of tabs"
     problem = clean(mistake.problem or mistake.context or "unreadable", 100)
-    return GeoEvsError(f"{path}:{line}: this is not YAML ({problem}); {advice} above it")
+    return GeoEvsError(f"{path}:{line}: this is not YAML ({problem}); {advice}")
 
 
 def _check_events(path: Path, events: Iterator[yaml.Event]) -> None:
@@ -139,8 +140,8 @@ def _check_events(path: Path, events: Iterator[yaml.Event]) -> None:
         where = f"{path}:{event.start_mark.line + 1}"
         if depth > DEEPEST:
             raise GeoEvsError(
-                f"{where}: this is the {depth}th section or list within another; "
-                f"{DEEPEST} are allowed, so close brackets before"
+                f"{where}: sections and lists lie {depth} deep here; {DEEPEST} are allowed, so "
+                "close some before"
             )
         if getattr(event, "tag", None) is not None:
             raise GeoEvsError(

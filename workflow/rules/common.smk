@@ -12,6 +12,7 @@ from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.names import expanded
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
@@ -90,13 +91,15 @@ def in_run(pattern):
     return f"{RUN}/{pattern}"
 
 
+# Folder of this suite's own starting weights.
+WEIGHTS = str(expanded(config["weights"]))
 # The files with the depth network's weights before and after fine-tuning; one or none.
 GEOMETRY = config["geometry"]
 PRETRAINED = []
 FINETUNED = []
 if GEOMETRY["model"] != "lidar":
     PRETRAINED = [
-        GEOMETRY["weights"] or f"{config['weights']}/{SUITE_MODEL}.safetensors"
+        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS}/{SUITE_MODEL}.safetensors"))
     ]
     FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
 
@@ -146,7 +149,7 @@ def other_results(expected):
 
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
-    return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
+    return with_option("--scenes", [f"{dataset}/{scene}" for dataset, scene in scenes])
 
 
 @cache
@@ -170,7 +173,7 @@ def scene_arguments(wildcards):
     name, changed = world_options(wildcards.scene)
     options = dataset["options"] | changed
     return (
-        f"--source {dataset['source']} --name {name} --height {HEIGHT} "
+        f"--source {shlex.quote(dataset['source'])} --name {shlex.quote(name)} --height {HEIGHT} "
         f"--width {WIDTH} --options {shlex.quote(json.dumps(options))}"
     )
 
@@ -203,7 +206,10 @@ def method_code(step):
 def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
-    return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+    return (
+        f"--method {shlex.quote(entry.method)} --variant {shlex.quote(entry.variant)} "
+        f"--seed {entry.seed}"
+    )
 
 
 def entrant_options(wildcards):
@@ -243,7 +249,7 @@ def trained(wildcards):
 
 # What trainings start from, which are no output that tables need.
 PRIOR_FILES = [
-    f"{config['weights']}/{name}.safetensors" for name in ("autoencoder", "prior")
+    f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")
 ]
 
 
@@ -251,7 +257,8 @@ def prior_hash(name):
     """Hash of the weights that a training starts from: one that failed without them runs again."""
     if name == "nano":
         return " ".join(content_hash(path) for path in PRIOR_FILES)
-    return content_hash(name) if Path(name).exists() else cached_repository(name)
+    folder = expanded(name)
+    return content_hash(folder) if folder.exists() else cached_repository(name)
 
 
 def starting_weights(wildcards):
