@@ -17,8 +17,8 @@ import yaml
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.text import clean
 
-MOST_BYTES = 200_000
-"""Of a config file: twenty times the default config, and read within a second or two."""
+MOST_BYTES = 50_000
+"""Of a config file: six times the default config. More is slow: Snakemake reads it twice again."""
 
 DEEPEST = 30
 """Sections and lists within one another; the default config has five."""

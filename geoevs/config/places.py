@@ -35,6 +35,22 @@ COMMAND_LINE = "--config"
 """The place of what the command line gave."""
 
 
+def merge_order(own: Sequence[str | Path], given: Sequence[str | Path]) -> list[Path]:
+    """The files that Snakemake merges to one config, later ones winning.
+
+    A file that is named twice has the last place alone. Files below the current folder are named
+    from there.
+
+    Args:
+        own: those that the Snakefile names.
+        given: those behind `--configfile`, which override them.
+    """
+    here = Path.cwd()
+    paths = [(here / path) for path in (*own, *given)]
+    last = list(reversed(dict.fromkeys(reversed(paths))))
+    return [path.relative_to(here) if path.is_relative_to(here) else path for path in last]
+
+
 def locate(key: Key, origins: Sequence[Origin]) -> str:
     """`FILE:LINE` of a key in the last origin that sets it, else the name of the first alone.
 

@@ -10,6 +10,7 @@ from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
 from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
+from geoevs.config.places import merge_order
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.names import expanded
@@ -33,20 +34,13 @@ from snakemake.exceptions import WorkflowError
 
 
 def config_files():
-    """The files that the config was merged from, later ones winning, as named if they lie here.
-
-    Snakemake has the Snakefile's own last, if it is there, but all that are given override it.
-    """
-    given = [Path(file) for file in workflow.config_settings.configfiles]
-    own = [Path(file).absolute() for file in workflow.configfiles[len(given) :]]
-    if workflow.config_settings.replace_workflow_config and given:
+    """The files that the config was merged from, later ones winning, as named if they lie here."""
+    settings = workflow.config_settings
+    # Snakemake has the Snakefile's own last, though all that are given override it.
+    own = workflow.configfiles[len(settings.configfiles) :]
+    if settings.replace_workflow_config and settings.overwrite_config:
         own = []
-    # Of a file that is named twice the last place counts.
-    paths = reversed(dict.fromkeys(reversed([*own, *given])))
-    here = Path.cwd()
-    return [
-        path.relative_to(here) if path.is_relative_to(here) else path for path in paths
-    ]
+    return merge_order(own, settings.configfiles)
 
 
 try:
@@ -248,9 +242,7 @@ def trained(wildcards):
 
 
 # What trainings start from, which are no output that tables need.
-PRIOR_FILES = [
-    f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")
-]
+PRIOR_FILES = [f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")]
 
 
 def prior_hash(name):
