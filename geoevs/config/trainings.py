@@ -1,6 +1,6 @@
 """A config's trainings: one section a method that trains, and variants of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 from geoevs.config.places import Origin, locate, located
@@ -10,17 +10,18 @@ from geoevs.methods.contract import DEFAULT
 from geoevs.methods.finding import find_trainings, training_class
 
 
-def training_of(method: str, text: str) -> str:
+def training_of(method: str, text: str, trainers: Container[str] | None = None) -> str:
     """The training that `training: TEXT` under a method means, as METHOD/VARIANT.
 
     `VARIANT` alone is the method's own. Without any text it is the method's own section as it
-    stands, and nothing for a method that does not train.
+    stands, and nothing for a method that is none of `trainers`, those that train (None: look).
 
     >>> training_of("geo-evs-support", "geo-evs/v3")
     'geo-evs/v3'
     """
     if not text:
-        return f"{method}/{DEFAULT}" if method in find_trainings() else ""
+        trainers = find_trainings() if trainers is None else trainers
+        return f"{method}/{DEFAULT}" if method in trainers else ""
     return text if "/" in text else f"{method}/{text}"
 
 
