@@ -1,9 +1,17 @@
 # Geo-EVS: the whole protocol as one DAG. `snakemake --cores 2 tables` makes every table.
-from geoevs.config.files import check_syntax
+from pathlib import Path
+
+from geoevs.config.files import read_nodes
+from geoevs.core.errors import GeoEvsError
+from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
 min_version("9.27")
-check_syntax("config.yaml")
+if Path("config.yaml").exists():
+    try:
+        read_nodes("config.yaml")
+    except GeoEvsError as mistake:
+        raise WorkflowError(str(mistake)) from None
 
 
 configfile: "config.yaml"

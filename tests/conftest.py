@@ -36,6 +36,8 @@ which train, fit or render."""
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
+# New examples each time, and many: `pytest --hypothesis-profile long tests/config/test_fuzz.py`.
+settings.register_profile("long", max_examples=8000, deadline=None)
 settings.load_profile("repeatable")
 
 

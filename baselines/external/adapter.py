@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, read_json, write_json
-from geoevs.core.names import check_name
+from geoevs.core.names import check_name, expanded
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera, view_key
@@ -31,7 +31,7 @@ class Method:
         Raises:
             GeoEvsError: there is no such folder.
         """
-        images = Path(self.folder).expanduser() / views.scene_name
+        images = expanded(self.folder) / views.scene_name
         if not images.is_dir():
             raise GeoEvsError(
                 f"{images} is missing; put the images of scene '{views.scene_name}' there as "
@@ -48,7 +48,7 @@ class Method:
                 lead out of the folder.
         """
         check_name(camera.name, "target", "the views to render")
-        folder = Path(self.folder).expanduser() / self.scene
+        folder = expanded(self.folder) / self.scene
         path = folder / f"{view_key(camera.name, frame)}.png"
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
@@ -60,7 +60,7 @@ class Method:
 
     def save(self, folder: Path) -> None:
         """Write where the images lie; they are not copied."""
-        place = {"folder": str(Path(self.folder).expanduser().resolve()), "scene": self.scene}
+        place = {"folder": str(expanded(self.folder).resolve()), "scene": self.scene}
         write_json(folder / "external.json", place)
 
     @classmethod

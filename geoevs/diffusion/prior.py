@@ -10,6 +10,7 @@ from huggingface_hub.errors import HFValidationError
 from torch import Tensor
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.names import expanded
 from geoevs.core.networks import built_as_described, load_weights, read_network, save_network
 from geoevs.diffusion.autoencoder import Autoencoder
 from geoevs.diffusion.condition_encoder import ConditionEncoder, FrozenEncoder
@@ -45,7 +46,7 @@ def load_prior(name: str, weights: Path) -> Prior:
         autoencoder = load_autoencoder(weights / AUTOENCODER_FILE)
         prior = Prior(autoencoder, *load_denoiser(weights / PRIOR_FILE, autoencoder))
     else:
-        prior = _public_prior(name)
+        prior = _public_prior(str(expanded(name)))
     read, have = prior.denoiser.unet.config.in_channels, prior.autoencoder.latent_channels
     if read != have:
         raise GeoEvsError(

@@ -10,10 +10,12 @@ from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
 from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
+from geoevs.config.places import merge_order
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.hashes import outside_hash
 from geoevs.core.locks import lock_folder
+from geoevs.core.names import expanded
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
@@ -37,16 +39,13 @@ from snakemake.io import IOFile
 
 
 def config_files():
-    """The files that the config was merged from, later ones winning, as named if they lie here.
-
-    Snakemake has the Snakefile's own last, which all that are given override.
-    """
-    *given, own = [Path(file).absolute() for file in workflow.configfiles]
-    paths = dict.fromkeys(given if own in given else [own, *given])
-    here = Path.cwd()
-    return [
-        path.relative_to(here) if path.is_relative_to(here) else path for path in paths
-    ]
+    """The files that the config was merged from, later ones winning, as named if they lie here."""
+    settings = workflow.config_settings
+    # Snakemake has the Snakefile's own last, though all that are given override it.
+    own = workflow.configfiles[len(settings.configfiles) :]
+    if settings.replace_workflow_config and settings.overwrite_config:
+        own = []
+    return merge_order(own, settings.configfiles)
 
 
 try:
@@ -54,6 +53,7 @@ try:
         config,
         Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
         config_files(),
+        workflow.config_settings.config,
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
@@ -98,13 +98,15 @@ def in_run(pattern):
     return f"{RUN}/{pattern}"
 
 
+# Folder of this suite's own starting weights.
+WEIGHTS = str(expanded(config["weights"]))
 # The files with the depth network's weights before and after fine-tuning; one or none.
 GEOMETRY = config["geometry"]
 PRETRAINED = []
 FINETUNED = []
 if GEOMETRY["model"] != "lidar":
     PRETRAINED = [
-        GEOMETRY["weights"] or f"{config['weights']}/{SUITE_MODEL}.safetensors"
+        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS}/{SUITE_MODEL}.safetensors"))
     ]
     FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
 
@@ -154,7 +156,7 @@ def other_results(expected):
 
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
-    return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
+    return with_option("--scenes", [f"{dataset}/{scene}" for dataset, scene in scenes])
 
 
 @cache
@@ -183,7 +185,7 @@ def scene_arguments(wildcards):
     """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
     source, name, options = scene_of(wildcards)
     return (
-        f"--source {source} --name {name} --height {HEIGHT} "
+        f"--source {shlex.quote(source)} --name {shlex.quote(name)} --height {HEIGHT} "
         f"--width {WIDTH} --options {shlex.quote(json.dumps(options))}"
     )
 
@@ -267,7 +269,10 @@ def method_code(step):
 def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
-    return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+    return (
+        f"--method {shlex.quote(entry.method)} --variant {shlex.quote(entry.variant)} "
+        f"--seed {entry.seed}"
+    )
 
 
 def entrant_options(wildcards):
@@ -306,16 +311,15 @@ def trained(wildcards):
 
 
 # What trainings start from, which are no output that tables need.
-PRIOR_FILES = [
-    f"{config['weights']}/{name}.safetensors" for name in ("autoencoder", "prior")
-]
+PRIOR_FILES = [f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")]
 
 
 def prior_hash(name):
     """Hash of the weights that a training starts from: one that failed without them runs again."""
     if name == "nano":
         return " ".join(content_hash(path) for path in PRIOR_FILES)
-    return content_hash(name) if Path(name).exists() else cached_repository(name)
+    folder = expanded(name)
+    return content_hash(folder) if folder.exists() else cached_repository(name)
 
 
 def starting_weights(wildcards):

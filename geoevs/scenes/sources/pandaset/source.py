@@ -1,6 +1,5 @@
 """PandaSet sequences in the folder format of their public release (see docs/pandaset.md)."""
 
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image
+from geoevs.core.names import expanded
 from geoevs.scenes.camera import WORLD_LIMIT, Camera
 from geoevs.scenes.checks import check_info
 from geoevs.scenes.scene import (
@@ -54,16 +54,14 @@ class Source:
 
     Args:
         height, width: size of the run's images in pixels; whole images are resized to it.
-        folder: holds one folder per sequence, such as 002; `$NAME` in it is looked up in the
-            environment.
+        folder: holds one folder per sequence, such as 002 (see `expanded`).
     """
 
     has_truth = False
 
     def __init__(self, height: int, width: int, *, folder: str) -> None:
         self.height, self.width = height, width
-        # Nothing, where the variable is empty, must not become the current folder.
-        self.folder = Path(os.path.expanduser(os.path.expandvars(folder)) or folder)
+        self.folder = expanded(folder)
 
     def check(self, scene: SceneRef) -> None:
         """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
