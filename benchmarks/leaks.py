@@ -1,6 +1,6 @@
 """How much of a condition map is background that leaked through its z-buffer, and what it costs.
 
-python -m benchmarks.leaks             # three streets that no test uses, two frames
+python -m benchmarks.leaks             # two frames of three streets that no test uses
 python -m benchmarks.leaks pandaset    # the frames under GEOEVS_PANDASET, without truth
 
 Conditions hold the front-most point of each pixel, as in the paper. The footprint rule would drop
