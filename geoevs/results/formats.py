@@ -18,7 +18,8 @@ from geoevs.results.tables import make_table
 
 LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
-run, what the paper says. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than
+run, what the paper says. `paper` = printed in the paper, measured there on Waymo (its SSIM may
+score borders too, which adds up to 0.005: docs/protocol.md). ▼ = worse than
 the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same distance between true
 images of other instants. Empty = not run, not measurable here, or not said.
 """

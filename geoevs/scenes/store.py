@@ -1,4 +1,4 @@
-"""The scene store: a folder that nerfstudio, gsplat and COLMAP users can open.
+"""The scene store: a folder that nerfstudio opens; no COLMAP model is written.
 
 transforms.json            nerfstudio's format, plus camera, frame, timestamp and split
 images/<camera>/<frame>.png
