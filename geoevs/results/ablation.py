@@ -36,7 +36,9 @@ over frames within scenes and over seeds]; bold where the interval leaves out ze
 standard deviation over training seeds of a seed's mean. `paper` = printed in the paper, measured
 there on Waymo. Masked views: `supported` pixels are left in the degraded condition, `removed` ones
 were hidden by the mask, `never` ones had no support before it, and `unsupported` are those two
-together. Empty = not run, or not measurable here. {MARKED} Differences
+together. Empty = not run, or not measurable here.
+{MARKED}
+Differences
 and spreads are of the views that all compared delivered.
 """
 

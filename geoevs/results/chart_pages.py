@@ -39,6 +39,9 @@ negative, so that those are linear (Vega's symlog) up to this."""
 TICKS = (0, 1, 3, 10, 30, 100, 300, 1000, 3000)
 """Where a symlog axis has them, in multiples of LINEAR_TO."""
 
+HOLLOW = "Hollow: views are missing, and the mean is of the others"
+"""What a page says where it ranks nobody."""
+
 UNRANKED = "Hollow, not ranked, as views or fits are missing"
 """What a panel says of those whose means are of fewer than others' are."""
 

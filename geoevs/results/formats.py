@@ -21,7 +21,8 @@ LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored vie
 italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
 run, what the paper says. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than
 the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same distance between true
-images of other instants. Empty = not run, not measurable here, or not said. {MARKED}
+images of other instants. Empty = not run, not measurable here, or not said.
+{MARKED}
 """
 
 LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}

@@ -98,11 +98,7 @@ def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -> 
         both = (rows_of(rows, row["method"], row["variant"]) for row in (best, control))
         sentences += _gain(best["name"], control["name"], paired_of(*both, settings))
     if len(others):
-        means = (
-            f"{row['name']} ({row['mean']:.2f} dB on {row['n']} of {row['n'] + row['lacking']} views)"
-            for _, row in others.iterrows()
-        )
-        sentences.append(f"Not ranked, as views are missing: {', '.join(means)}.")
+        sentences.append(f"Not ranked, as views are missing: {', '.join(_partial(others))}.")
     yield " ".join(sentences)
 
 
@@ -118,6 +114,13 @@ def _gain(best: str, control: str, gap: PairedDifference) -> Iterator[str]:
         yield "One frame a scene gives no interval."
     elif gap.low <= 0 <= gap.high:
         yield "Which of the two is better is not certain."
+
+
+def _partial(points: pd.DataFrame) -> Iterator[str]:
+    """Means of fewer views than others', with how many they are of."""
+    for _, row in points.iterrows():
+        count = f"{row['n']} of {row['n'] + row['lacking']} views"
+        yield f"{row['name']} ({row['mean']:.2f} dB on {count})"
 
 
 def _scored(row: pd.Series) -> str:
@@ -147,7 +150,8 @@ def _decline(curves: pd.DataFrame, bins: list[str]) -> Iterator[str]:
     if len(present) < 2:
         return
     ends = rows[rows["bin"].isin((present[0], present[-1]))]
-    partial = ends.loc[ends["lacking"] > 0, "name"].unique()
+    both = ends.groupby("name")["bin"].transform("nunique") == 2
+    partial = ends.loc[(ends["lacking"] > 0) | ~both, "name"].unique()
     ends = ends[~ends["name"].isin(partial)]
     first, last = (
         ends[ends["bin"] == label].set_index("name")["mean"] for label in (present[0], present[-1])
