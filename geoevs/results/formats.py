@@ -15,6 +15,7 @@ from geoevs.results.entrants import Entrants
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.results.tables import make_table
+from geoevs.results.views import MARK, MARKED
 
 LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
@@ -22,6 +23,7 @@ run, what the paper says. `paper` = printed in the paper, measured there on Waym
 score borders too, which adds up to 0.005: docs/protocol.md). ▼ = worse than
 the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same distance between true
 images of other instants. Empty = not run, not measurable here, or not said.
+{MARKED}
 """
 
 LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}
@@ -80,6 +82,7 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
     for dataset, rows in table.groupby("dataset", sort=False):
         header, body = _grid(spec, rows)
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
+        parts += [f"{text.capitalize()}.\n" for text in _outside(rows)]
     parts.append(LEGEND)
     parts += [f"Not measured: {why}.\n" for why in sorted(_unmeasured(table))]
     return "\n".join(parts)
@@ -88,6 +91,11 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
 def _unmeasured(rows: pd.DataFrame) -> set[str]:
     """Metrics without weights on this machine, each with the reason."""
     return {why for cell in rows["unmeasured"] for why in cell.split("; ") if why}
+
+
+def _outside(rows: pd.DataFrame) -> list[str]:
+    """What is said of views in no bin; nothing where all are in one."""
+    return [text for text in rows.get("outside", pd.Series(dtype=str)).unique() if text]
 
 
 def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
@@ -102,6 +110,7 @@ def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
     parts = [f"% {spec.title}"]
     for dataset, rows in table.groupby("dataset", sort=False):
         parts.append(f"% {dataset}\n{latex_tabular(*_grid(spec, rows), rows['group'].tolist())}")
+        parts += [f"% {text}" for text in _outside(rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -194,6 +203,7 @@ def _measured(metric: str, row: dict) -> str:
         text += (
             f" [{number(metric, row[f'{metric}_low'])}, {number(metric, row[f'{metric}_high'])}]"
         )
+    text += f" {MARK}" if metric in row["partial"].split() else ""
     return text + (" ▼" if metric in row["below_floor"].split() else "")
 
 
@@ -201,5 +211,6 @@ def _latex_line(cells: Sequence[str]) -> str:
     symbols = {letter: f"\\{letter}" for letter in "_%&#${}"} | {"*": "", "∞": r"$\infty$"}
     symbols |= {letter: rf"\text{word}{{}}" for letter, word in LATEX_WORDS.items()}
     symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
+    symbols |= {MARK: r"$\dagger$"}
     escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]
     return " & ".join(escaped) + r" \\"
