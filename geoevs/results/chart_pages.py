@@ -15,6 +15,7 @@ from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.charts import COSTS, SPEED, higher_is_better, speed_accuracy
 from geoevs.results.entrants import Entrants
+from geoevs.results.escaping import csv_text
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import bin_names, table_spec
 
@@ -76,7 +77,7 @@ def write_chart(
     """
     table = speed_accuracy(name, scores, costs, settings, entrants, sets)
     page = draw_page(name, table, settings)
-    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".csv"), csv_text(table))
     write_page(stem, page)
 
 
