@@ -13,7 +13,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file, write_bytes
 
 LONGEST_TEXT = 10_000
-"""Most characters of a text in a table."""
+"""Most bytes of a text in a table."""
 
 MOST_ROWS = 1_000_000, 100
 """A table may have so many rows, or so many for each byte of its file. Rows that a real run writes
@@ -92,16 +92,16 @@ def read_parquet(
         _check_column(path, schema, name, types[name])
     with whole_file(path):
         table = file.read(columns)
-        lengths = {name: pc.max(pc.binary_length(table[name].unique())).as_py() for name in texts}
+        lengths = {name: _longest(table[name].unique()) for name in texts}
         if where is not None:
             column, value = where
             table = table.filter(pc.equal(table[column], value))
     for name in columns:
         if types[name] != "float64" and table[name].null_count:
             raise GeoEvsError(f"{path}: column '{name}' has empty cells; make the file again")
-        if (lengths.get(name) or 0) > LONGEST_TEXT:
+        if lengths.get(name, 0) > LONGEST_TEXT:
             raise GeoEvsError(
-                f"{path}: column '{name}' holds a text of more than {LONGEST_TEXT} characters; "
+                f"{path}: column '{name}' holds a text of more than {LONGEST_TEXT} bytes; "
                 "make the file again"
             )
     with whole_file(path):
@@ -122,3 +122,9 @@ def _check_column(path: Path, schema: pa.Schema, name: str, kind: str) -> None:
         raise GeoEvsError(
             f"{path}: column '{name}' holds {found}, not {words}; make the file again"
         )
+
+
+def _longest(texts: pa.Array) -> int:
+    """Bytes of the longest text; 0 of none."""
+    plain = texts.dictionary_decode() if pa.types.is_dictionary(texts.type) else texts
+    return pc.max(pc.binary_length(plain)).as_py() or 0

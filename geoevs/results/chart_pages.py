@@ -329,8 +329,11 @@ def page_png(page: dict[str, Any]) -> bytes:
 
 
 def page_html(page: dict[str, Any]) -> str:
-    """A page, as `to_dict` gives it, as HTML that needs no network."""
-    return vl_convert.vegalite_to_html(page, bundle=True)
+    """A page, as `to_dict` gives it, as HTML that needs no network; no text in it is markup."""
+    start = "\n    const spec = "
+    before, _, after = vl_convert.vegalite_to_html(page, bundle=True).rpartition(start)
+    spec, end, rest = after.partition("\n")  # JSON is one line
+    return before + start + spec.replace("<", r"\u003c") + end + rest
 
 
 def write_page(stem: Path, page: alt.VConcatChart) -> None:
