@@ -43,7 +43,7 @@ def check_config(config: Mapping[str, Any], schema: Path, files: Sequence[Path])
     for file in files:
         check_repeats(file)
     _check_moved(config, files)
-    validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text()))
+    validator = Draft202012Validator(yaml.safe_load(Path(schema).read_text(encoding="utf-8")))
     mistakes = sorted(
         validator.iter_errors(config), key=lambda mistake: [str(part) for part in mistake.path]
     )

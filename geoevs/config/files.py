@@ -26,7 +26,7 @@ def check_syntax(path: str | Path) -> None:
     if not path.exists():
         return
     try:
-        yaml.compose(path.read_text())
+        yaml.compose(path.read_text(encoding="utf-8"))
     except yaml.MarkedYAMLError as mistake:
         line = mistake.problem_mark.line + 1
         raise GeoEvsError(
@@ -44,7 +44,7 @@ def check_repeats(path: str | Path) -> None:
     Raises:
         GeoEvsError: one does (the sentence names both lines), or is no text, such as `on`.
     """
-    nodes = [yaml.compose(Path(path).read_text())]
+    nodes = [yaml.compose(Path(path).read_text(encoding="utf-8"))]
     while nodes:
         node = nodes.pop()
         if isinstance(node, yaml.SequenceNode):
@@ -94,7 +94,7 @@ def _dotted(key: Key) -> str:
 def locate(key: Key, files: Sequence[Path]) -> str:
     """`FILE:LINE` of a key in the last file that sets it, else that file's name alone."""
     for path in reversed(files):
-        node = yaml.compose(Path(path).read_text())
+        node = yaml.compose(Path(path).read_text(encoding="utf-8"))
         line = None
         for part in key:
             if isinstance(node, yaml.MappingNode):

@@ -88,7 +88,7 @@ def read_json(path: Path) -> Any:
         GeoEvsError: the file is missing or is not JSON.
     """
     try:
-        return json.loads(Path(path).read_text())
+        return json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise GeoEvsError(f"{path} is missing; make or copy it there") from error
     except ValueError as error:

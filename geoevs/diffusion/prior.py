@@ -116,9 +116,11 @@ def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffu
 def _public_prior(name: str) -> Prior:
     """Read a model in diffusers' layout from a folder or the local cache; nothing is downloaded."""
     local = {"local_files_only": True}
-    try:
-        network = AutoencoderKL.from_pretrained(name, subfolder="vae", **local)
-        unet = UNet2DConditionModel.from_pretrained(name, subfolder="unet", **local)
+    try:  # safetensors alone, as other files of weights can run code
+        network, unet = (
+            kind.from_pretrained(name, subfolder=part, use_safetensors=True, **local)
+            for kind, part in ((AutoencoderKL, "vae"), (UNet2DConditionModel, "unet"))
+        )
         noise = DDIMScheduler.from_pretrained(name, subfolder="scheduler", **local).config
     except (OSError, ValueError, HFValidationError) as error:
         reason = " ".join(str(error).split())[:200]

@@ -60,7 +60,8 @@ def log_tail(run: Path, log: str) -> str:
     if LOGS not in parts:
         return "" if not log else "The log lies outside of this run and was not read."
     try:
-        path = inside(run, "/".join(parts[parts.index(LOGS) :]), run)
+        after = parts[len(parts) - parts[::-1].index(LOGS) :]
+        path = inside(run / LOGS, "/".join(after), run)
     except GeoEvsError:
         return "The log lies outside of this run and was not read."
     if not path.is_file():

@@ -18,6 +18,7 @@ import vl_convert
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.text import printable
 from geoevs.protocol.entries import label_of
 from geoevs.results.entrants import ENTRANT, INFO, Entrants
 from geoevs.results.escaping import read_csv, script_json
@@ -189,13 +190,17 @@ def _exhibits(folder: Path) -> Iterator[Exhibit]:
             read_csv(table) if table.is_file() else None,
             chart,
             file_address(picture) if picture.is_file() and chart is None else "",
-            markdown_html(_text(words)) if words.is_file() else "",
+            markdown_html(_words(words)) if words.is_file() else "",
         )
 
 
 def _text(path: Path) -> str:
     """A page of the run: UTF-8, and what is not stays a question mark."""
     return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _words(path: Path) -> str:
+    return "\n".join(map(printable, _text(path).splitlines()))
 
 
 def chart_of(page: Path) -> dict[str, Any] | None:
