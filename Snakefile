@@ -17,8 +17,9 @@ if Path("config.yaml").exists():
 configfile: "config.yaml"
 
 
-# The base of `snakemake --sdm apptainer`; constraints.txt pins what is installed on it.
-container: "docker://python:3.11"
+# The base of `snakemake --sdm apptainer`; constraints.txt pins what is installed on it. A tag can be
+# moved; docs/trust.md says how to name the image by its digest.
+container: "docker://python:3.11.13-bookworm"
 
 
 include: "workflow/rules/common.smk"

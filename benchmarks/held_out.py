@@ -179,7 +179,7 @@ def motion_iou(method: Adapter, street: Street) -> float:
 
 def main() -> None:
     """Print a table for each method: a row a street, and their mean."""
-    config = yaml.safe_load(CONFIG.read_text())
+    config = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     entrants = find_entrants(sys.argv[1:], config)
     console = Console()
     console.print(f"{processor()}; {torch.get_num_threads()} threads")

@@ -91,7 +91,11 @@ def compare(title: str, points: np.ndarray) -> Table:
 
 def processor() -> str:
     """The processor and its cores."""
-    described = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc").exists() else []
+    described = (
+        Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        if Path("/proc").exists()
+        else []
+    )
     names = [line.partition(": ")[2] for line in described if line.startswith("model name")]
     name = names[0] if names else platform.processor()
     return f"{name}, {os.cpu_count()} cores"

@@ -108,7 +108,7 @@ def _hash(content: str | bytes) -> str:
 
 
 def _read(path: Path) -> dict[str, str]:
-    return json.loads(path.read_text()) if path.is_file() else digest_of(path)
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else digest_of(path)
 
 
 def main() -> int:
@@ -120,7 +120,8 @@ def main() -> int:
     arguments = parser.parse_args()
     first = _read(arguments.first)
     if arguments.digest:
-        arguments.digest.write_text(json.dumps(first, indent=1, sort_keys=True) + "\n")
+        text = json.dumps(first, indent=1, sort_keys=True) + "\n"
+        arguments.digest.write_text(text, encoding="utf-8")
     if arguments.second is None:
         print(f"{len(first)} hashes of {arguments.first}")
         return 0

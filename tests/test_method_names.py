@@ -24,7 +24,7 @@ WORKFLOW = [
 
 def texts(path: Path) -> list[str]:
     """What a file does, not what is said of it: Python's strings, else lines without comments."""
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         comment = r"(^|\s)//.*" if path.suffix == ".js" else r"(^|\s)#.*"
         return [re.sub(comment, "", line) for line in text.splitlines()]

@@ -78,11 +78,8 @@ def scene_pairs(scenes: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def read_rows(path: Path) -> "pd.DataFrame":
-    """The rows of a Parquet file, or a sentence that names it."""
-    import pandas as pd
+def read_rows(path: Path, name: str) -> "pd.DataFrame":
+    """The rows of a file, checked; `name` says which of the run's files it is, by the layout."""
+    from geoevs.results.rows import read_rows
 
-    from geoevs.core.files import whole_file
-
-    with whole_file(path):
-        return pd.read_parquet(path)
+    return read_rows(path, name)

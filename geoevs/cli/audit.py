@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from geoevs import layout
 from geoevs.cli.arguments import (
     Dataset,
     EntrantsFile,
@@ -55,4 +56,6 @@ def audit_page(
     from geoevs.results.audit_page import write_audit
     from geoevs.results.entrants import Entrants
 
-    write_audit(out, read_rows(rows), table_settings(settings), Entrants.read(entrants))
+    write_audit(
+        out, read_rows(rows, layout.AUDIT_ROWS), table_settings(settings), Entrants.read(entrants)
+    )

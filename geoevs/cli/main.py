@@ -1,6 +1,7 @@
 """The `geoevs` command."""
 
 import importlib
+import io
 import sys
 import traceback
 from pathlib import Path
@@ -11,6 +12,7 @@ from typer.models import CommandInfo
 
 from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.files import write_text
+from geoevs.core.text import printable
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -30,7 +32,7 @@ COMMANDS = (
     "outcomes",
     "adapters",
 )
-FOR_PEOPLE = ("why", "compare", "grid", "new-adapter", "check-adapter", "export")
+FOR_PEOPLE = ("why", "compare", "verify", "grid", "new-adapter", "check-adapter", "export")
 """The commands that people call, as the help lists them; rules call the others."""
 
 _log: Path | None = None
@@ -64,6 +66,8 @@ def arrange_help(app: typer.Typer) -> None:
 
 def main() -> None:
     """Run the command line: one sentence for a mistake, a traceback only in the log."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # ∞ in a locale that lacks it ends no command
+        sys.stdout.reconfigure(errors="backslashreplace")
     for commands in COMMANDS:
         importlib.import_module(f"geoevs.cli.{commands}").register(app)
     arrange_help(app)
@@ -79,7 +83,7 @@ def main() -> None:
             message = f"internal error: {reason_of(error)} ({where})"
         if _log is not None:
             write_text(_log, f"{message}\n\n{traceback.format_exc()}")
-        print(message, file=sys.stderr)
+        print(printable(message), file=sys.stderr)
         sys.exit(1)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from geoevs import layout
 from geoevs.cli.arguments import (
     Costs,
     EntrantsFile,
@@ -19,6 +20,7 @@ from geoevs.cli.arguments import (
     scene_pairs,
     table_settings,
 )
+from geoevs.core.text import printable
 
 RunName = Annotated[str, typer.Option(help="The run's name, or its folder.")]
 DatasetName = Annotated[str, typer.Option(help="The data set; left out, the first.")]
@@ -37,6 +39,7 @@ def register(app: typer.Typer) -> None:
         failures,
         why,
         compare,
+        verify,
     ):
         app.command()(command)
 
@@ -98,8 +101,16 @@ def chart(
     from geoevs.results.entrants import Entrants
 
     parsed, who = table_settings(settings), Entrants.read(entrants)
-    distances = None if sets is None else read_rows(sets)
-    write_chart(out, name, read_rows(scores), read_rows(costs), parsed, who, distances)
+    distances = None if sets is None else read_rows(sets, layout.SET_SCORES)
+    write_chart(
+        out,
+        name,
+        read_rows(scores, layout.SCORES),
+        read_rows(costs, layout.COSTS),
+        parsed,
+        who,
+        distances,
+    )
 
 
 def report(
@@ -183,7 +194,7 @@ def why(
     from geoevs.results.why_lookup import Cell
 
     for line in explain(Cell(table, entrant, metric, bin, dataset), _folder(run)):
-        print(line)
+        print(printable(line))
 
 
 def compare(
@@ -202,7 +213,25 @@ def compare(
     from geoevs.results.compare import compare_entrants, comparison_text
 
     difference = compare_entrants(table, first, second, _folder(run), dataset)
-    print(comparison_text(difference, first, second))
+    for line in comparison_text(difference, first, second).splitlines():
+        print(printable(line))
+
+
+def verify(
+    run: Annotated[str, typer.Argument(help="The run's name, or its folder.")],
+    rescore: Annotated[int, typer.Option(min=0, help="Renders that are scored again.")] = 20,
+) -> None:
+    """Check a run's folder that somebody sent: files, rows, pictures, tables, and some scores.
+
+    Nothing in it is run, and nothing is written. The exit code is 1 if anything is wrong.
+    """
+    from geoevs.results.verify import verification_text, verify_run
+
+    checks = verify_run(_folder(run), rescore)
+    for line in verification_text(checks):
+        print(printable(line))
+    if any(check.problems for check in checks):
+        raise typer.Exit(1)
 
 
 def _folder(run: str) -> Path:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from geoevs import layout
 from geoevs.cli.arguments import (
     Dataset,
     EntrantsFile,
@@ -119,7 +120,7 @@ def stability_table(
     from geoevs.results.stability_page import write_stability
 
     who = Entrants.read(entrants)
-    write_stability(out, read_rows(scores), table_settings(settings), who)
+    write_stability(out, read_rows(scores, layout.STABILITY_SCORES), table_settings(settings), who)
 
 
 def stability_chart(

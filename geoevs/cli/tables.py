@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from geoevs import layout
 from geoevs.cli.arguments import (
     Costs,
     EntrantsFile,
@@ -47,8 +48,8 @@ def table(
 
     table_spec(name)  # a mistake in the name is said before one in the files
     parsed, who = table_settings(settings), Entrants.read(entrants)
-    distances = None if sets is None else read_rows(sets)
-    write_table(out, name, read_rows(scores), parsed, who, distances)
+    distances = None if sets is None else read_rows(sets, layout.SET_SCORES)
+    write_table(out, name, read_rows(scores, layout.SCORES), parsed, who, distances)
 
 
 def ablation_table(
@@ -59,7 +60,8 @@ def ablation_table(
     from geoevs.results.entrants import Entrants
 
     who = Entrants.read(entrants)
-    write_ablation_table(out, read_rows(scores), table_settings(settings), who)
+    parsed = table_settings(settings)
+    write_ablation_table(out, read_rows(scores, layout.SCORES), parsed, who)
 
 
 def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
@@ -67,7 +69,7 @@ def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     from geoevs.results.costs import write_cost_table
     from geoevs.results.entrants import Entrants
 
-    write_cost_table(out, read_rows(costs), Entrants.read(entrants))
+    write_cost_table(out, read_rows(costs, layout.COSTS), Entrants.read(entrants))
 
 
 def geometry_table(
@@ -78,7 +80,8 @@ def geometry_table(
     """Make the table of depth before and after fine-tuning as CSV, Markdown and LaTeX."""
     from geoevs.results.geometry_table import write_geometry_table
 
-    write_geometry_table(out, read_rows(scores), table_settings(settings))
+    parsed = table_settings(settings)
+    write_geometry_table(out, read_rows(scores, layout.DEPTH_SCORES), parsed)
 
 
 def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
@@ -87,7 +90,9 @@ def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: 
     from geoevs.results.entrants import Entrants
 
     who = Entrants.read(entrants)
-    write_complexity_table(out, read_rows(scores), read_rows(costs), who)
+    write_complexity_table(
+        out, read_rows(scores, layout.SCORES), read_rows(costs, layout.COSTS), who
+    )
 
 
 def complexity_chart(
@@ -102,11 +107,14 @@ def complexity_chart(
     from geoevs.results.entrants import Entrants
 
     parsed, who = table_settings(settings), Entrants.read(entrants)
-    write_size_chart(out, read_rows(scores), read_rows(costs), parsed, who)
+    write_size_chart(
+        out, read_rows(scores, layout.SCORES), read_rows(costs, layout.COSTS), parsed, who
+    )
 
 
 def rank_agreement(scores: Scores, settings: TablesSection, out: TableOut) -> None:
     """Compare the order of methods with the paper's, as CSV and Markdown."""
     from geoevs.results.rank_agreement import write_rank_agreement
 
-    write_rank_agreement(out, read_rows(scores), table_settings(settings))
+    parsed = table_settings(settings)
+    write_rank_agreement(out, read_rows(scores, layout.SCORES), parsed)

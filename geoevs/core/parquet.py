@@ -1,14 +1,30 @@
 """Tables of rows in Parquet files, written and put together whole or not at all."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file, write_bytes
+
+LONGEST_TEXT = 10_000
+"""Most bytes of a text in a table."""
+
+MOST_ROWS = 1_000_000, 100
+"""A table may have so many rows, or so many for each byte of its file. Rows that a real run writes
+take more; a bomb packs billions into a few."""
+
+KINDS = {
+    "string": ("text", lambda kind: pa.types.is_string(kind) or pa.types.is_large_string(kind)),
+    "int64": ("whole numbers", pa.types.is_integer),
+    "float64": ("numbers", lambda kind: pa.types.is_floating(kind) or pa.types.is_integer(kind)),
+}
+"""What a column of a type holds, in words, and the test of its type in a file."""
 
 
 def write_parquet(path: Path, rows: pd.DataFrame) -> None:
@@ -39,3 +55,76 @@ def join_parquet(path: Path, parts: Sequence[Path]) -> None:
                 )
             writer.write_table(rows)
     write_bytes(path, buffer.getvalue())
+
+
+def read_parquet(
+    path: Path,
+    types: Mapping[str, str],
+    columns: Sequence[str] | None = None,
+    where: tuple[str, str] | None = None,
+) -> pd.DataFrame:
+    """Read a table that may be a stranger's: its columns are those asked for, or it is refused.
+
+    What else lies in the file, its notes for pandas among it, is not looked at.
+
+    Args:
+        path: a Parquet file.
+        types: of every column that such tables have: `string`, `int64` or `float64`.
+        columns: those to read; all of them by default.
+        where: a column of text and the value that rows must have there to be kept.
+
+    Raises:
+        GeoEvsError: the file is missing, damaged or a bomb, or a column is missing, has another
+            type, or lacks a text or a whole number. Numbers that are not whole may be NaN.
+    """
+    path, columns = Path(path), list(types if columns is None else columns)
+    if path.exists() and not path.is_file():
+        raise GeoEvsError(f"{path} is not whole (it is no file); delete it and make it again")
+    texts = [name for name in columns if types[name] == "string"]
+    with whole_file(path):
+        file = pq.ParquetFile(path, read_dictionary=texts)
+        schema, count = file.schema_arrow, file.metadata.num_rows
+        most, for_a_byte = MOST_ROWS
+        bomb = count > max(most, for_a_byte * path.stat().st_size)
+    if bomb:
+        raise GeoEvsError(f"{path} claims {count} rows, more than it can hold; ask for it again")
+    for name in columns:
+        _check_column(path, schema, name, types[name])
+    with whole_file(path):
+        table = file.read(columns)
+        lengths = {name: _longest(table[name].unique()) for name in texts}
+        if where is not None:
+            column, value = where
+            table = table.filter(pc.equal(table[column], value))
+    for name in columns:
+        if types[name] != "float64" and table[name].null_count:
+            raise GeoEvsError(f"{path}: column '{name}' has empty cells; make the file again")
+        if lengths.get(name, 0) > LONGEST_TEXT:
+            raise GeoEvsError(
+                f"{path}: column '{name}' holds a text of more than {LONGEST_TEXT} bytes; "
+                "make the file again"
+            )
+    with whole_file(path):
+        return table.to_pandas(ignore_metadata=True).astype({name: types[name] for name in columns})
+
+
+def _check_column(path: Path, schema: pa.Schema, name: str, kind: str) -> None:
+    """Refuse a file whose column `name` is missing, there twice or of another type."""
+    held = schema.names.count(name)
+    if held != 1:
+        what = "lacks the column" if held == 0 else "has twice the column"
+        raise GeoEvsError(f"{path} {what} '{name}'; make it again with this version")
+    found = schema.field(name).type
+    if pa.types.is_dictionary(found):
+        found = found.value_type
+    words, fits = KINDS[kind]
+    if not fits(found):
+        raise GeoEvsError(
+            f"{path}: column '{name}' holds {found}, not {words}; make the file again"
+        )
+
+
+def _longest(texts: pa.Array) -> int:
+    """Bytes of the longest text; 0 of none."""
+    plain = texts.dictionary_decode() if pa.types.is_dictionary(texts.type) else texts
+    return pc.max(pc.binary_length(plain)).as_py() or 0

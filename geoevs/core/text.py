@@ -15,9 +15,17 @@ def clean(text: str, limit: int = LONGEST) -> str:
     'abc... (3 characters more)'
     """
     head = text[: 4 * limit]  # the rest of megabytes need not be looked at
-    spaced = "".join(" " if letter.isspace() else letter for letter in head)
-    # C: control, format and surrogate characters, and those without a meaning.
-    kept = "".join(letter for letter in spaced if unicodedata.category(letter)[0] != "C")
-    line = " ".join(kept.split())
+    line = " ".join(printable(head).split())
     more = max(len(line) - limit, 0) + len(text) - len(head)
     return f"{line[:limit]}... ({more} characters more)" if more else line
+
+
+def printable(line: str) -> str:
+    """A line without what steers a terminal or hides text; its spaces stay.
+
+    >>> printable("a  b" + chr(10) + chr(27) + "[31m red")
+    'a  b [31m red'
+    """
+    spaced = "".join(" " if letter.isspace() else letter for letter in line)
+    # C: control, format and surrogate characters, and those without a meaning.
+    return "".join(letter for letter in spaced if unicodedata.category(letter)[0] != "C")

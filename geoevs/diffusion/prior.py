@@ -117,11 +117,12 @@ def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffu
 
 def _public_prior(name: str) -> Prior:
     """Read a model in diffusers' layout from a folder or the local cache; nothing is downloaded."""
-    # A .bin is a pickle, which could run anything.
-    local, whole = {"local_files_only": True}, {"use_safetensors": True}
-    try:
-        network = AutoencoderKL.from_pretrained(name, subfolder="vae", **local, **whole)
-        unet = UNet2DConditionModel.from_pretrained(name, subfolder="unet", **local, **whole)
+    local = {"local_files_only": True}
+    try:  # safetensors alone, as other files of weights can run code
+        network, unet = (
+            kind.from_pretrained(name, subfolder=part, use_safetensors=True, **local)
+            for kind, part in ((AutoencoderKL, "vae"), (UNet2DConditionModel, "unet"))
+        )
         noise = DDIMScheduler.from_pretrained(name, subfolder="scheduler", **local).config
     except (OSError, ValueError, HFValidationError) as error:
         reason = " ".join(str(error).split())[:200]

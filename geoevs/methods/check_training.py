@@ -178,7 +178,7 @@ def _check_train(trial: TrainingTrial) -> None:
     out = trial.folder / "out/whole"
     failure = out / FAILURE_FILE
     if failure.exists():
-        raise BrokenContractError(json.loads(failure.read_text())["reason"])
+        raise BrokenContractError(json.loads(failure.read_text(encoding="utf-8"))["reason"])
     if not _contents(out):
         raise BrokenContractError("train wrote nothing into its folder; write the weights there")
 

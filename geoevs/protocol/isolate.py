@@ -62,7 +62,7 @@ def run_isolated(
         MethodFailedError: the function raised, or the process died.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as scratch, log.open("a") as output:
+    with tempfile.TemporaryDirectory() as scratch, log.open("a", encoding="utf-8") as output:
         answer = Path(scratch) / "answer.json"
         process = subprocess.run(
             [sys.executable, "-m", "geoevs.protocol.isolate", function, answer],
@@ -75,7 +75,7 @@ def run_isolated(
         )
         if not answer.exists():
             raise MethodFailedError(_death(process.returncode))
-        reply = json.loads(answer.read_text())
+        reply = json.loads(answer.read_text(encoding="utf-8"))
     if "failure" in reply:
         raise MethodFailedError(reply["failure"])
     return reply["result"], Usage(reply["peak_memory"], reply["gpu_memory"])
@@ -96,7 +96,7 @@ def _peak_memory() -> int:
     """
     status = Path("/proc/self/status")
     if status.exists():
-        for line in status.read_text().splitlines():
+        for line in status.read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024
     unit = 1 if sys.platform == "darwin" else 1024

@@ -10,6 +10,7 @@ from geoevs.results.audit import audit_tables
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.chart_pages import write_page
 from geoevs.results.entrants import Entrants
+from geoevs.results.escaping import csv_text
 from geoevs.results.formats import markdown_grid
 from geoevs.results.settings import TableSettings
 
@@ -31,7 +32,7 @@ def write_audit(
     """
     tables = audit_tables(rows, settings, entrants)
     for name, table in tables.items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+        write_text(folder / f"{name}.csv", csv_text(table))
     write_page(folder / "agreement", agreement_chart(tables["agreement"]))
     write_page(folder / "support_bias", support_chart(tables["support_bias"]))
     write_text(folder / "audit.md", audit_markdown(tables))

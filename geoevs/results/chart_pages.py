@@ -15,6 +15,7 @@ from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.charts import COSTS, SPEED, higher_is_better, speed_accuracy
 from geoevs.results.entrants import Entrants
+from geoevs.results.escaping import csv_text
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import bin_names, table_spec
 
@@ -82,7 +83,7 @@ def write_chart(
     """
     table = speed_accuracy(name, scores, costs, settings, entrants, sets)
     page = draw_page(name, table, settings)
-    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".csv"), csv_text(table))
     write_page(stem, page)
 
 
@@ -362,8 +363,11 @@ def page_png(page: dict[str, Any]) -> bytes:
 
 
 def page_html(page: dict[str, Any]) -> str:
-    """A page, as `to_dict` gives it, as HTML that needs no network."""
-    return vl_convert.vegalite_to_html(page, bundle=True)
+    """A page, as `to_dict` gives it, as HTML that needs no network; no text in it is markup."""
+    start = "\n    const spec = "
+    before, _, after = vl_convert.vegalite_to_html(page, bundle=True).rpartition(start)
+    spec, end, rest = after.partition("\n")  # JSON is one line
+    return before + start + spec.replace("<", r"\u003c") + end + rest
 
 
 def write_page(stem: Path, page: alt.VConcatChart) -> None:

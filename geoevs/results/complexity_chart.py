@@ -10,6 +10,7 @@ from geoevs.core.files import write_text
 from geoevs.results.chart_pages import HOLLOW, WIDTH, layered, stacked, write_page
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE, size_curves
 from geoevs.results.entrants import Entrants
+from geoevs.results.escaping import csv_text
 from geoevs.results.settings import TableSettings
 
 COLUMNS = 4
@@ -41,7 +42,7 @@ def write_size_chart(
     """
     table = size_curves(scores, costs, settings, entrants)
     page = size_chart(table)
-    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".csv"), csv_text(table))
     write_page(stem, page)
 
 

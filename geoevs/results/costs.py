@@ -8,6 +8,7 @@ from geoevs.methods.contract import CONTROL
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.entrants import ENTRANT, Entrants
+from geoevs.results.escaping import markdown_text
 from geoevs.results.formats import markdown_grid, write_formats
 
 COLUMNS = {
@@ -89,8 +90,13 @@ def cost_markdown(table: pd.DataFrame) -> str:
             cells += ["" if pd.isna(row[key]) else f"{row[key]:.4g}" for key in COLUMNS]
             cells += [str(row[key]) for key in ("device", "threads", "n", "failed")]
             body.append(cells)
-            noted.setdefault(row["note"], []).append(cells[0])
+            stars = "*" if row["paradigm"] == CONTROL else ""
+            noted.setdefault(row["note"], []).append(f"{stars}{markdown_text(name)}{stars}")
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
-        notes = [f"- {', '.join(names)}: {note}\n" for note, names in noted.items() if note]
+        notes = [
+            f"- {', '.join(names)}: {markdown_text(note)}\n"
+            for note, names in noted.items()
+            if note
+        ]
         parts += ["".join(notes)] if notes else []
     return "\n".join([*parts, LEGEND])

@@ -10,6 +10,8 @@ import pandas as pd
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
+from geoevs.core.names import check_name
+from geoevs.core.text import clean
 from geoevs.methods.contract import CONTROL, DEFAULT
 from geoevs.protocol.entries import name_of
 from geoevs.results.paper import paper_method
@@ -48,15 +50,16 @@ class Entrants:
         """Those that `geoevs entrants` wrote down.
 
         Raises:
-            GeoEvsError: the file is missing or of another shape.
+            GeoEvsError: the file is missing or of another shape, or a name is none.
         """
         found = read_json(path)
         try:
-            return cls({name: Info(*(row[key] for key in INFO)) for name, row in found.items()})
+            rows = {name: Info(*(clean(row[key]) for key in INFO)) for name, row in found.items()}
         except (AttributeError, KeyError, TypeError) as error:
             raise GeoEvsError(
                 f"{path} does not say who plays; delete it and make it again"
             ) from error
+        return cls({check_name(name, "entrant", path): info for name, info in rows.items()})
 
     def name(self, method: str, variant: str = DEFAULT) -> str:
         """How tables write an entrant; names that several methods have tell whose they are."""

@@ -7,10 +7,13 @@ from pathlib import Path
 import pandas as pd
 
 from geoevs import layout
-from geoevs.core.files import whole_file
+from geoevs.core.text import printable
 from geoevs.protocol.entries import FAILED
+from geoevs.results.rows import read_rows
 
 _ENDING = ["method", "variant", "stage", "reason", "log"]
+_PLACE = ["dataset", "scene", "status"]
+_OF_FIT, _OF_STRESS = ["sources"], ["stressor", "level", "seed"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Failure:
 
     def __str__(self) -> str:
         """One sentence, and where to look for the cause."""
-        return (
+        return printable(
             f"{self.method} ({self.variant}) could not {self.stage} {self.place}: {self.reason}; "
             f"log: {self.log}"
         )
@@ -49,7 +52,7 @@ def run_failures(run: Path) -> list[Failure]:
         GeoEvsError: cost rows are missing, or a file is damaged.
     """
     return [
-        *fit_failures(_failed(run / layout.COSTS)),
+        *fit_failures(_failed(run / layout.COSTS, layout.COSTS, _OF_FIT)),
         *known_failures(stability=run / layout.STABILITY_SCORES),
     ]
 
@@ -66,9 +69,9 @@ def known_failures(costs: Path | None = None, stability: Path | None = None) -> 
     """
     failures: list[Failure] = []
     if costs is not None and costs.exists():
-        failures += fit_failures(_failed(costs))
+        failures += fit_failures(_failed(costs, layout.COSTS, _OF_FIT))
     if stability is not None and stability.exists():
-        failures += stress_failures(_failed(stability))
+        failures += stress_failures(_failed(stability, layout.STABILITY_SCORES, _OF_STRESS))
     return failures
 
 
@@ -93,7 +96,6 @@ def stress_failures(scores: pd.DataFrame) -> Iterator[Failure]:
         yield Failure(**dict(zip(_ENDING, ending, strict=True)), place=place, stressed=True)
 
 
-def _failed(path: Path) -> pd.DataFrame:
-    """The failed rows of a Parquet file; others are not kept in memory."""
-    with whole_file(path):
-        return pd.read_parquet(path, filters=[("status", "==", FAILED)])
+def _failed(path: Path, name: str, more: list[str]) -> pd.DataFrame:
+    """The failed rows of a file of rows, by what is said of them."""
+    return read_rows(path, name, [*_PLACE, *_ENDING, *more], where=("status", FAILED))

@@ -162,7 +162,7 @@ def _thicken(picture: np.ndarray) -> np.ndarray:
 
 def _read_render(renders: Path, target: Target) -> np.ndarray | None:
     path = renders / f"{target.key}.png"
-    return read_image(path) if path.exists() else None
+    return read_image(path) if path.is_file() else None
 
 
 def _sample(targets: list[list[Target]], count: int) -> list[list[Target]]:

@@ -1,6 +1,7 @@
 """Tables for people: Markdown and LaTeX, with intervals, flags and the paper's numbers."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.entrants import Entrants
+from geoevs.results.escaping import csv_text, latex_text, markdown_cell, markdown_text
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.results.tables import make_table
@@ -25,8 +27,6 @@ the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same di
 images of other instants. Empty = not run, not measurable here, or not said.
 {MARKED}
 """
-
-LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}
 
 
 Text = Callable[[pd.DataFrame], str]
@@ -70,7 +70,7 @@ def write_formats(
         markdown: makes text of it.
         latex: likewise, or None.
     """
-    write_text(stem.with_suffix(".csv"), table.to_csv(index=False))
+    write_text(stem.with_suffix(".csv"), csv_text(table))
     write_text(stem.with_suffix(".md"), markdown(table))
     if latex is not None:
         write_text(stem.with_suffix(".tex"), latex(table))
@@ -84,7 +84,7 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
         parts += [f"{text.capitalize()}.\n" for text in _outside(rows)]
     parts.append(LEGEND)
-    parts += [f"Not measured: {why}.\n" for why in sorted(_unmeasured(table))]
+    parts += [f"Not measured: {markdown_text(why)}.\n" for why in sorted(_unmeasured(table))]
     return "\n".join(parts)
 
 
@@ -99,10 +99,20 @@ def _outside(rows: pd.DataFrame) -> list[str]:
 
 
 def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """Cells as a Markdown table."""
+    """Cells as a Markdown table; all in them is text, but for stars around a whole cell."""
     lines = (header, ["---"] * len(header), *body)
-    escaped = ([cell.replace("|", r"\|") for cell in line] for line in lines)
-    return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
+    return "\n".join(f"| {' | '.join(map(_markdown_cell, line))} |" for line in lines)
+
+
+def _markdown_cell(cell: str) -> str:
+    stars, text = _parted(cell)
+    return f"{stars}{markdown_cell(text)}{stars}"
+
+
+def _parted(cell: str) -> tuple[str, str]:
+    """The stars around a whole cell, which set a control in italics, and the text within them."""
+    found = re.fullmatch(r"(\*{1,2})([^*].*)\1", cell, re.DOTALL)
+    return (found[1], found[2]) if found else ("", cell)
 
 
 def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
@@ -208,9 +218,4 @@ def _measured(metric: str, row: dict) -> str:
 
 
 def _latex_line(cells: Sequence[str]) -> str:
-    symbols = {letter: f"\\{letter}" for letter in "_%&#${}"} | {"*": "", "∞": r"$\infty$"}
-    symbols |= {letter: rf"\text{word}{{}}" for letter, word in LATEX_WORDS.items()}
-    symbols |= {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "▼": r"$\blacktriangledown$"}
-    symbols |= {MARK: r"$\dagger$"}
-    escaped = ["".join(symbols.get(letter, letter) for letter in cell) for cell in cells]
-    return " & ".join(escaped) + r" \\"
+    return " & ".join(latex_text(_parted(cell)[1]) for cell in cells) + r" \\"

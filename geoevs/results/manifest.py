@@ -36,6 +36,12 @@ PACKAGES = (
     "safetensors",
 )
 
+NOT_SAID: dict[str, Any] = {
+    **{"commit": "not recorded", "protocol": 0, "seed": 0, "configfiles": []},
+    **{"config": {}, "inputs": {}, "versions": {}, "machine": {}},
+}
+"""What a manifest that does not say something is taken to say; others are of the same types."""
+
 
 def make_manifest(
     config: Mapping[str, Any], inputs: Sequence[Path], configfiles: Sequence[str] = ()
@@ -57,6 +63,29 @@ def make_manifest(
         "versions": _versions(),
         "machine": _machine(),
     }
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """A run's manifest, which may be a stranger's: all of NOT_SAID, and the config's `methods`.
+
+    Raises:
+        GeoEvsError: it is missing, or says something of another type than manifests do.
+    """
+    said = read_json(path)
+    manifest = {**NOT_SAID, **said} if isinstance(said, dict) else {}
+    types = {name: type(usual) for name, usual in NOT_SAID.items()}
+    wrong = [name for name, kind in types.items() if type(manifest.get(name)) is not kind]
+    config = {"methods": {}, "tables": {}, **({} if wrong else manifest["config"])}
+    wrong += [f"config.{name}" for name in ("methods", "tables") if type(config[name]) is not dict]
+    if not wrong:
+        options = config["methods"].values()
+        if not all(isinstance(file, str) for file in manifest["configfiles"]):
+            wrong.append("configfiles")
+        if not all(own is None or isinstance(own, dict) for own in options):
+            wrong.append("config.methods")
+    if wrong:
+        raise GeoEvsError(f"{path}: '{wrong[0]}' is not what a manifest says there; make it again")
+    return manifest | {"config": config}
 
 
 def install_weights(
@@ -207,7 +236,7 @@ def _commit() -> str:
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
     if info.exists():
-        for line in info.read_text().splitlines():
+        for line in info.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor()

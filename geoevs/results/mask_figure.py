@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import altair as alt
+import cv2
 import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
@@ -110,4 +111,5 @@ def _draw_histograms(supports: dict[str, np.ndarray]) -> Image.Image:  # each [N
     )
     picture = io.BytesIO()
     chart.save(picture, format="png")
-    return Image.open(picture).convert("RGB")
+    drawn = cv2.imdecode(np.frombuffer(picture.getvalue(), np.uint8), cv2.IMREAD_COLOR_RGB)
+    return Image.fromarray(drawn)

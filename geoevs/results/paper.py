@@ -23,5 +23,5 @@ def paper_method(method: str) -> dict[str, str]:
 @cache
 def _paper() -> dict[str, Any]:
     return yaml.safe_load(
-        resources.files("geoevs.results").joinpath("paper_values.yaml").read_text()
+        resources.files("geoevs.results").joinpath("paper_values.yaml").read_text(encoding="utf-8")
     )

@@ -9,6 +9,7 @@ import pandas as pd
 from geoevs.core.files import write_text
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.chart_pages import HOLLOW, write_page
+from geoevs.results.escaping import csv_text
 
 PANELS = {
     "sparse_psnr": "sparse PSNR, dB",
@@ -31,7 +32,7 @@ def write_stability_chart(stem: Path, table: pd.DataFrame, stressor: str) -> Non
     """
     rows = curves(table, stressor)
     page = stability_curves(rows, stressor)
-    write_text(stem.with_suffix(".csv"), rows.to_csv(index=False))
+    write_text(stem.with_suffix(".csv"), csv_text(rows))
     write_page(stem, page)
 
 

@@ -11,6 +11,7 @@ from geoevs.core.files import write_text
 from geoevs.protocol.entries import FLOOR
 from geoevs.protocol.stability_scoring import SPREADS
 from geoevs.results.entrants import ENTRANT, Entrants
+from geoevs.results.escaping import csv_text
 from geoevs.results.formats import markdown_grid, with_interval
 from geoevs.results.settings import TableSettings
 from geoevs.results.stability import (
@@ -60,7 +61,7 @@ def write_stability(
         "seed_spread": seed_spread(scores, settings, entrants),
     }
     for name, table in tables.items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+        write_text(folder / f"{name}.csv", csv_text(table))
     write_text(folder / "breaking_points.md", stability_markdown(*tables.values()))
 
 

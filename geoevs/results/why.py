@@ -12,7 +12,18 @@ from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES, TableSpec, bin_names, table_spec
 from geoevs.results.tables import make_table
-from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
+from geoevs.results.why_lookup import (
+    Cell,
+    Found,
+    Record,
+    Rows,
+    Term,
+    chosen,
+    known,
+    ranked,
+    terms_of,
+    value_line,
+)
 from geoevs.results.why_tables import OTHERS
 
 SUITES = {"stability": layout.STABILITY_SCORES, "audit": layout.AUDIT_ROWS}
@@ -53,14 +64,14 @@ def _of_table(cell: Cell, record: Record) -> Found:
     spec = table_spec(cell.table)
     dataset = record.dataset(cell.dataset)
     known("metric", cell.metric, (*spec.metrics, *spec.set_metrics))
-    label = known("bin", cell.bin, bin_names(spec, record.settings))
+    label = known("bin", cell.bin.replace(" to ", "-"), bin_names(spec, record.settings))
     method = record.entrant(cell.entrant, dataset)
     scores, sets = record.scores, record.read(layout.SET_SCORES)
     here = scores[scores["dataset"] == dataset]
     distances = sets[sets["dataset"] == dataset]
     table = make_table(cell.table, here, record.settings, record.entrants, distances)
-    chosen = (table["method"] == method.method) & (table["variant"] == method.variant)
-    row = table[chosen & (table["bin"] == label if spec.bins else True)].iloc[0]
+    mine = (table["method"] == method.method) & (table["variant"] == method.variant)
+    row = table[mine & (table["bin"] == label if spec.bins else True)].iloc[0]
     of_sets = cell.metric in SET_METRICS
     who = {"dataset": dataset, "method": method.method, "variant": method.variant}
     terms = terms_of(**who, metric=cell.metric)
@@ -71,7 +82,7 @@ def _of_table(cell: Cell, record: Record) -> Found:
     scenes = record.scenes(dataset)
     views = (row for _, row in ranked(rows.rows))
     if of_sets:  # which have no worst view: all of them made the number
-        views = here.query(" and ".join(terms_of(**who, split=list(spec.splits)))).itertuples()
+        views = chosen(here, terms_of(**who, split=list(spec.splits))).itertuples()
     return Found(
         [*_value(cell, row, dataset), record.entrant_line(method.method, method.variant)],
         [rows],
@@ -108,8 +119,8 @@ def _value(cell: Cell, row: pd.Series, dataset: str) -> Iterator[str]:
         yield f"note      {text}"
 
 
-def _of_bin(spec: TableSpec, label: str, settings: TableSettings) -> list[str]:
-    """What a query asks of the rows that a table averages in one bin."""
+def _of_bin(spec: TableSpec, label: str, settings: TableSettings) -> list[Term]:
+    """What is asked of the rows that a table averages in one bin."""
     stressors = ["", THINNING] if spec.edges == "support_bins" else [""]
     plain = terms_of(stressor=stressors)
     if not spec.edges:
@@ -118,5 +129,5 @@ def _of_bin(spec: TableSpec, label: str, settings: TableSettings) -> list[str]:
     edges = getattr(settings, spec.edges)
     low, high = edges[number : number + 2]
     below = "<=" if high == edges[-1] else "<"
-    place = f"{spec.bins} >= {low} and {spec.bins} {below} {high}"
-    return [*terms_of(split=list(spec.splits)), place, *plain]
+    place = [Term(spec.bins, ">=", low), Term(spec.bins, below, high)]
+    return [*terms_of(split=list(spec.splits)), *place, *plain]

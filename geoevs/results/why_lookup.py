@@ -1,21 +1,23 @@
 """What stands behind a cell of a table, and how it is looked up in a run's folder."""
 
+import operator
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
 from geoevs import layout
 from geoevs.config.trainings import training_of, training_settings
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.files import read_json, whole_file
 from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.entries import MethodEntry, label_of, name_of
 from geoevs.results.entrants import Entrants
+from geoevs.results.manifest import read_manifest
+from geoevs.results.rows import read_rows
 from geoevs.results.settings import TableSettings
 from geoevs.scenes.camera import view_key
 
@@ -46,6 +48,35 @@ class Cell:
         return f"{self.table} {self.entrant} {self.metric} {self.bin}".strip()
 
 
+SIGNS: dict[str, Callable[[pd.Series, Any], pd.Series]] = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">=": operator.ge,
+    "<": operator.lt,
+    "<=": operator.le,
+    "in": pd.Series.isin,
+}
+
+
+class Term(NamedTuple):
+    """What a column of rows must be: the term chooses the rows, its text is for people alone."""
+
+    column: str
+    sign: str
+    value: Any
+
+    def __str__(self) -> str:
+        """As pandas.DataFrame.query takes it, values quoted so that it can be pasted."""
+        return f"{self.column} {self.sign} {self.value!r}"
+
+
+def chosen(rows: pd.DataFrame, terms: Iterable[Term]) -> pd.DataFrame:
+    """The rows that meet all terms."""
+    for term in terms:
+        rows = rows[SIGNS[term.sign](rows[term.column], term.value)]
+    return rows
+
+
 @dataclass(frozen=True)
 class Rows:
     """The rows of a file that a cell is computed from, and the query that finds them there."""
@@ -55,10 +86,9 @@ class Rows:
     rows: pd.DataFrame
 
     @classmethod
-    def of(cls, file: str, frame: pd.DataFrame, terms: Iterable[str]) -> "Rows":
-        """Those of a whole file that meet all terms, as pandas.DataFrame.query takes them."""
-        query = " and ".join(terms)
-        return cls(file, query, frame.query(query))
+    def of(cls, file: str, frame: pd.DataFrame, terms: Sequence[Term]) -> "Rows":
+        """Those of a whole file that meet all terms."""
+        return cls(file, " and ".join(map(str, terms)), chosen(frame, terms))
 
 
 @dataclass(frozen=True)
@@ -89,7 +119,7 @@ class Record:
 
     def __init__(self, run: Path) -> None:
         self.run = run
-        self.manifest = read_json(run / layout.MANIFEST)
+        self.manifest = read_manifest(run / layout.MANIFEST)
         self.config = self.manifest["config"]
         self.settings = TableSettings.parse(self.config["tables"])
 
@@ -116,13 +146,12 @@ class Record:
         return f"entrant   {'; '.join([cells['name'], *parts])}"
 
     def read(self, name: str) -> pd.DataFrame:
-        """The rows of one of the run's files.
+        """The rows of one of the run's files, one of ROW_FILES.
 
         Raises:
-            GeoEvsError: it is missing or damaged.
+            GeoEvsError: it is missing or damaged, or holds what no such rows can (see `read_rows`).
         """
-        with whole_file(self.run / name):
-            return pd.read_parquet(self.run / name)
+        return read_rows(self.run / name, name)
 
     def dataset(self, name: str) -> str:
         """The data set of that name; the run's first where it is empty."""
@@ -193,10 +222,24 @@ class Record:
         for name in dict.fromkeys(names):
             method = self.config["methods"].get(name) or {}
             lines.append(f"methods.{name}: {method}")
-            training = training_of(name.partition(".")[0], method.get("training", ""))
+            training = training_of(name.partition(".")[0], str(method.get("training") or ""))
             if training and "trainings" in self.config:
-                lines.append(f"trainings {training}: {training_settings(self.config, training)}")
+                lines.append(f"trainings {training}: {self._training(training)}")
         return [*lines, f"tables: {self.config['tables']}"]
+
+    def _training(self, training: str) -> dict[str, Any]:
+        """The settings of a training, METHOD/VARIANT.
+
+        Raises:
+            GeoEvsError: the manifest's config has no sections where trainings stand.
+        """
+        try:
+            return training_settings(self.config, training)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise GeoEvsError(
+                f"{self.run / layout.MANIFEST}: 'config.trainings' is no section of trainings; "
+                "make it again"
+            ) from error
 
     def command(self, found: Found, table: str) -> str:
         """Makes the cell's rows again, and no others, then the table."""
@@ -217,14 +260,14 @@ def ranked(rows: pd.DataFrame) -> Iterator[tuple[str, Any]]:
             yield title, row
 
 
-def terms_of(**wanted: Any) -> list[str]:
-    """Terms of a query: columns that are a value, or one of a list of values.
+def terms_of(**wanted: Any) -> list[Term]:
+    """Terms of columns that are a value, or one of a list of values.
 
-    >>> terms_of(method="mine", split=["observed"])
-    ['method == "mine"', "split in ['observed']"]
+    >>> [str(term) for term in terms_of(method="mine", split=["observed"])]
+    ["method == 'mine'", "split in ['observed']"]
     """
     return [
-        f"{name} in {value}" if isinstance(value, list) else f'{name} == "{value}"'
+        Term(name, "in" if isinstance(value, list) else "==", value)
         for name, value in wanted.items()
     ]
 

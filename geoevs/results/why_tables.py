@@ -13,7 +13,17 @@ from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results import ablation, complexity, costs, geometry_table, rank_agreement
 from geoevs.results.paper import paper_values
 from geoevs.results.table_specs import table_spec
-from geoevs.results.why_lookup import Cell, Found, Record, Rows, known, ranked, terms_of, value_line
+from geoevs.results.why_lookup import (
+    Cell,
+    Found,
+    Record,
+    Rows,
+    Term,
+    known,
+    ranked,
+    terms_of,
+    value_line,
+)
 from geoevs.scenes.camera import view_key
 
 COST_COLUMNS = {"peak_memory_mb": "peak_memory", "gpu_memory_mb": "gpu_memory", "size_mb": "bytes"}
@@ -145,7 +155,7 @@ def why_costs(cell: Cell, record: Record) -> Found:
     column = known("column", cell.metric, costs.COLUMNS)
     entry = MethodEntry.parse(name, {}, 0)
     who = terms_of(dataset=dataset, method=entry.method, variant=entry.variant)
-    terms = [*who, *terms_of(sources=ALL_CAMERAS), f'status != "{FAILED}"']
+    terms = [*who, *terms_of(sources=ALL_CAMERAS), Term("status", "!=", FAILED)]
     rows = Rows.of(layout.COSTS, record.costs, terms)
     source = COST_COLUMNS.get(column, column)
     unit = ", in millions of bytes" if source != column else ""

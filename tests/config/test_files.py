@@ -190,11 +190,11 @@ def test_what_is_no_file_is_said(tmp_path):
 )
 def test_files_behind_configfile_are_checked(tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
-    Path("good.yaml").write_text("a: 1\n")
-    Path("bad.yaml").write_text("a: 1\n\tb: 2\n")
+    Path("good.yaml").write_text("a: 1\n", encoding="utf-8")
+    Path("bad.yaml").write_text("a: 1\n\tb: 2\n", encoding="utf-8")
     with pytest.raises(SystemExit, match=r"^bad.yaml:2: this is not YAML"):
         check_command_line(arguments)
-    Path("bad.yaml").write_text("a: 1\n")
+    Path("bad.yaml").write_text("a: 1\n", encoding="utf-8")
     check_command_line(arguments)
 
 

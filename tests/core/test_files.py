@@ -339,7 +339,7 @@ def test_a_copy_that_breaks_off_leaves_the_file_that_was_there(tmp_path, monkeyp
     path.write_text("old")
 
     def break_off(source, target):
-        Path(target).write_text("n")
+        Path(target).write_text("n", encoding="utf-8")
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "link", lambda *names: (_ for _ in ()).throw(OSError()))

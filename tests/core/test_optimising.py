@@ -235,7 +235,7 @@ def test_a_nan_names_step_and_batch_and_keeps_the_last_good_weights(tmp_path, wh
     state = torch.load(folder / "state.pt", weights_only=True)
     assert state["step"] == at
     assert float(state["model"]["slope"]) == slopes[at]
-    with open(folder / "losses.csv") as file:
+    with open(folder / "losses.csv", encoding="utf-8") as file:
         rows = list(csv.reader(file))
     assert rows[0] == (["step", "loss", "error"] if at else ["step"])
     assert [row[0] for row in rows[1:]] == [str(step) for step in range(at)]

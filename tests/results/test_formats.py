@@ -54,7 +54,7 @@ LATEX = r"""% A title
 method & paradigm & extra prior & psnr $\uparrow$ paper & psnr $\uparrow$ & mae $\downarrow$ &
  fid $\downarrow$ paper & fid $\downarrow$ & n & note \\
 \midrule
-Geo-EVS & diffusion & a | b & 23.40 & 24.13 [23.00, 25.00] &  & 3.90 &  & 4 &  \\
+Geo-EVS & diffusion & a \textbar{} b & 23.40 & 24.13 [23.00, 25.00] &  & 3.90 &  & 4 &  \\
 \midrule
 \{\#1\} (v) & control & none &  & $\infty$ & 0.124 $\blacktriangledown$ &  &  &  & 50\% \& more \\
 \bottomrule

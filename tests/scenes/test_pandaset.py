@@ -31,8 +31,8 @@ def refusal(folder: Path, scene: str = "777") -> str:
 
 
 def edit_json(path: Path, edit) -> None:
-    value = json.loads(path.read_text())
-    path.write_text(json.dumps(edit(value)))
+    value = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(edit(value)), encoding="utf-8")
 
 
 def test_reads_every_frame_that_is_on_disk(pandaset):

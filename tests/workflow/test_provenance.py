@@ -42,7 +42,8 @@ def test_what_a_run_was_made_with_is_known(workspace):
     release = lock_folder(workspace.folder / "results/small")
     refused = workspace.snakemake(*small)
     assert refused.returncode != 0
-    assert f"results/small is being written by process {os.getpid()}" in refused.stderr + refused.stdout
+    said = refused.stderr + refused.stdout
+    assert f"results/small is being written by process {os.getpid()}" in said
     release()
 
     run = workspace.snakemake(*small)
@@ -61,4 +62,5 @@ def test_what_a_run_was_made_with_is_known(workspace):
     assert NOTHING in workspace.snakemake("-n", *small).stdout
     stale = workspace.snakemake("-n", *write_config(workspace, "other.yaml", data, 2.0))
     assert stale.returncode != 0
-    assert f"{TARGETS} was made with other settings than this run has now" in stale.stderr + stale.stdout
+    said = stale.stderr + stale.stdout
+    assert f"{TARGETS} was made with other settings than this run has now" in said

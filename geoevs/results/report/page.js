@@ -11,7 +11,9 @@ const seen = new IntersectionObserver((entries) => {
     const actions = { export: true, source: false, compiled: false, editor: false };
     // Within, as vega-embed gives what it fills a width of its own.
     const within = target.appendChild(document.createElement("div"));
-    vegaEmbed(within, charts[target.dataset.chart], { actions, renderer: "svg" }).catch(console.error);
+    // ast: expressions are interpreted, as the page's policy forbids scripts made from text.
+    const options = { actions, renderer: "svg", ast: true };
+    vegaEmbed(within, charts[target.dataset.chart], options).catch(console.error);
   }
 }, { rootMargin: "200px" });
 document.querySelectorAll(".chart").forEach((element) => seen.observe(element));

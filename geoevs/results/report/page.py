@@ -1,9 +1,11 @@
 """The page itself: tables, charts, pictures, failures and the manifest in one HTML file."""
 
+import base64
+import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
@@ -15,14 +17,19 @@ import pandas as pd
 import vl_convert
 
 from geoevs import layout
-from geoevs.core.files import read_json, whole_file
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.text import printable
 from geoevs.protocol.entries import label_of
 from geoevs.results.entrants import ENTRANT, INFO, Entrants
+from geoevs.results.escaping import read_csv, script_json
 from geoevs.results.failures import Failure, run_failures
+from geoevs.results.manifest import read_manifest
 from geoevs.results.report.markdown import markdown_html
 from geoevs.results.report.pictures import comparison, file_address
 from geoevs.results.report.sentences import summarise_gaps, summarise_run
 from geoevs.results.report.suites import summarise_suites
+from geoevs.results.rows import read_rows
+from geoevs.results.run_folder import log_tail, refuse_links_out
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES
 
@@ -31,9 +38,6 @@ PAGE_BYTES = 24_500_000
 
 NOTHING_COMPARED = {"frames": 0, "all_frames": 0, "quality": 0}
 """In the place of what `comparison` finds, to see what the rest of a page takes."""
-
-LOG_TAIL = 6000
-"""Characters of a failed method's log that the page shows."""
 
 COMPARED = ("sparse_psnr", "psnr")
 """Metrics that the comparison of pictures names for a single view."""
@@ -66,13 +70,16 @@ def make_page(run: Path, threads: int = 1) -> str:
         threads: that compress its pictures.
 
     Raises:
-        GeoEvsError: rows or the manifest are missing.
+        GeoEvsError: rows or the manifest are missing or hold what they cannot, or a link leads out
+            of the run.
     """
-    manifest = read_json(run / layout.MANIFEST)
+    refuse_links_out(run)
+    manifest = read_manifest(run / layout.MANIFEST)
     columns = ["dataset", "scene", "frame", "target", "split", "method", "variant", "seed"]
     columns += ["metric", "value", "support_ratio", "pose_offset", "stressor", "level"]
-    scores = _rows(run / layout.SCORES, [*columns, "status", "reason", "fingerprint"])
-    costs, sets = _rows(run / layout.COSTS), _rows(run / layout.SET_SCORES)
+    columns += ["status", "reason", "fingerprint"]
+    scores = read_rows(run / layout.SCORES, layout.SCORES, columns)
+    costs, sets = (read_rows(run / name, name) for name in (layout.COSTS, layout.SET_SCORES))
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
     failures = run_failures(run)
@@ -86,6 +93,10 @@ def make_page(run: Path, threads: int = 1) -> str:
         lstrip_blocks=True,
     )
     environment.filters["table"] = partial(table_html, entrants=entrants)
+    scripts = [
+        vl_convert.javascript_bundle().replace("</script", "<\\/script").replace("\r\n", "\n"),
+        *map(_asset, SCRIPTS),
+    ]
     page = partial(
         environment.get_template("page.html.jinja").render,
         run=run.name,
@@ -99,9 +110,9 @@ def make_page(run: Path, threads: int = 1) -> str:
         tables=sorted(tables, key=lambda exhibit: _table_order(exhibit.name)),
         titles={name: spec.title for name, spec in TABLES.items()},
         exhibits={folder: parts for folder, parts in exhibits.items() if parts},
-        failures=[_described(failure, entrants) for failure in failures],
+        failures=[_described(failure, entrants, run) for failure in failures],
         featured=settings.ablation,
-        charts=_script_json(
+        charts=script_json(
             {
                 f"{folder}/{exhibit.name}": exhibit.chart
                 for folder, parts in exhibits.items()
@@ -109,34 +120,31 @@ def make_page(run: Path, threads: int = 1) -> str:
                 if exhibit.chart
             }
         ),
-        vega=vl_convert.javascript_bundle().replace("</script", "<\\/script"),
-        **{name: _asset(path) for name, path in ASSETS.items()},
+        scripts=scripts,
+        policy=content_policy(scripts),
+        style=_asset("page.css"),
     )
     rest = len(page(compared=NOTHING_COMPARED, data="").encode())
     compared = compared_views(run, scores, PAGE_BYTES - rest, threads)
-    return page(compared=compared, data=_script_json(compared | {"featured": settings.ablation}))
+    return page(compared=compared, data=script_json(compared | {"featured": settings.ablation}))
 
 
-ASSETS = {
-    "style": "page.css",
-    "script": "page.js",
-    "slider": "img-comparison-slider.js",
-    "sortable": "sortable-tablesort.js",
-}
+SCRIPTS = ("img-comparison-slider.js", "sortable-tablesort.js", "page.js")
+"""What the page runs beside Vega, in this order."""
 
 
 def _asset(path: str) -> str:
-    return resources.files("geoevs.results.report").joinpath(path).read_text()
+    return resources.files("geoevs.results.report").joinpath(path).read_text(encoding="utf-8")
 
 
-def _rows(path: Path, columns: list[str] | None = None) -> pd.DataFrame:
-    with whole_file(path):
-        return pd.read_parquet(path, columns=columns)
-
-
-def _script_json(value: Any) -> str:
-    """JSON for a script element, which only `</` could end."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+def content_policy(scripts: Sequence[str]) -> str:
+    """A Content-Security-Policy: a browser runs these scripts alone, and loads nothing."""
+    hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()) for script in scripts)
+    allowed = " ".join(f"'sha256-{digest.decode()}'" for digest in hashes)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
 
 
 def compared_views(run: Path, scores: pd.DataFrame, budget: int, threads: int) -> dict[str, Any]:
@@ -176,26 +184,46 @@ def _exhibits(folder: Path) -> Iterator[Exhibit]:
         stems, key=lambda stem: (not (folder / f"{stem}.md").exists(), _table_order(stem))
     ):
         table, picture, page, words = (folder / f"{stem}.{suffix}" for suffix in SUFFIXES)
-        chart = chart_of(page) if page.exists() else None
+        chart = chart_of(page) if page.is_file() else None
         yield Exhibit(
             stem,
-            _csv(table) if table.exists() else None,
+            read_csv(table) if table.is_file() else None,
             chart,
-            file_address(picture) if picture.exists() and chart is None else "",
-            markdown_html(words.read_text()) if words.exists() else "",
+            file_address(picture) if picture.is_file() and chart is None else "",
+            markdown_html(_words(words)) if words.is_file() else "",
         )
 
 
-def _csv(path: Path) -> pd.DataFrame:
-    with whole_file(path):
-        return pd.read_csv(path)
+def _text(path: Path) -> str:
+    """A page of the run: UTF-8, and what is not stays a question mark."""
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _words(path: Path) -> str:
+    return "\n".join(map(printable, _text(path).splitlines()))
 
 
 def chart_of(page: Path) -> dict[str, Any] | None:
-    """The Vega-Lite chart in a page that Altair wrote; None where there is none."""
-    text = page.read_text()
+    """The Vega-Lite chart in a page that Altair wrote; None where there is none.
+
+    Its own wishes for how it is embedded are left out.
+
+    Raises:
+        GeoEvsError: what stands there is no chart.
+    """
+    text = _text(page)
     match = re.search(r"\b(?:const|var|let) spec = (?=\{)", text)
-    return json.JSONDecoder().raw_decode(text, match.end())[0] if match else None
+    if match is None:
+        return None
+    try:
+        spec, _ = json.JSONDecoder(parse_constant=_refuse).raw_decode(text, match.end())
+    except (ValueError, RecursionError) as error:
+        raise GeoEvsError(f"{page} holds no chart that can be read; make it again") from error
+    return {name: value for name, value in spec.items() if name != "usermeta"}
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no JSON")
 
 
 def _table_order(name: str) -> tuple[int, str]:
@@ -203,15 +231,14 @@ def _table_order(name: str) -> tuple[int, str]:
     return names.index(name) if name in names else len(names), name
 
 
-def _described(failure: Failure, entrants: Entrants) -> dict[str, str]:
-    log = Path(failure.log) if failure.log else None
+def _described(failure: Failure, entrants: Entrants, run: Path) -> dict[str, str]:
     return {
         "name": entrants.name(failure.method, failure.variant),
         "place": failure.place,
         "stage": failure.stage,
         "reason": failure.reason,
         "log": failure.log,
-        "text": log.read_text(errors="replace")[-LOG_TAIL:] if log and log.exists() else "",
+        "text": log_tail(run, failure.log),
     }
 
 

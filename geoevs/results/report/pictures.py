@@ -105,7 +105,7 @@ def _fit(
 ) -> tuple[int, float]:
     """The best quality, and the largest share of frames, that a sample says will fit."""
     files = _unlike(
-        path for view in views for label in labels if (path := view.render(label)).exists()
+        path for view in views for label in labels if (path := view.render(label)).is_file()
     )
     sample = files[:SAMPLED]
     if not sample:
@@ -146,7 +146,7 @@ def _pictures(view: View, labels: Sequence[str], quality: int) -> dict[str, str]
         found[OVERLAY] = _address(mask_picture(answers.mask(target)), None)
     for label in labels:
         path = view.render(label)
-        if path.exists():
+        if path.is_file():
             found[label] = _address(path, quality)
     return found
 
@@ -187,8 +187,7 @@ def webp_address(data: bytes) -> str:
 
 def file_address(path: Path, widest: int = 1600) -> str:
     """The address of a picture file, as WebP and no wider than so many pixels."""
-    with Image.open(path) as opened:
-        image = opened.convert("RGB")
+    image = Image.fromarray(read_image(path))
     if image.width > widest:
         size = (widest, round(widest * image.height / image.width))
         image = image.resize(size, Image.Resampling.LANCZOS)

@@ -50,7 +50,7 @@ def reported(run, tmp_path_factory):
     blacken(run / layout.REFERENCES.format(**PLACE), targets)
     blank = {"string": "", "int64": 0, "float64": math.nan}
     usual = {name: blank[kind] for name, kind in SCORE_TYPES.items()} | PLACE
-    usual |= {"variant": "default", "fingerprint": "f", "support_ratio": 0.01}
+    usual |= {"variant": "default", "fingerprint": "f", "support_ratio": 0.01, "lateral_shift": 0.0}
     rows = [
         {
             **{**usual, "split": target.split, "frame": target.frame, "method": method},
@@ -63,8 +63,8 @@ def reported(run, tmp_path_factory):
         for metric in ("sparse_psnr", "psnr")
     ]
     rows.append({**rows[0], "metric": "lpips", "status": "unavailable", "reason": "no weights"})
-    log = tmp_path_factory.mktemp("logs") / "broken.log"
-    log.write_text("Traceback: <out of points>\n")
+    log = run / "logs/fit/d/s/broken.log"
+    write_text(log, "Traceback: <out of points>\n")
     zero = {name: blank[kind] for name, kind in COST_TYPES.items()} | PLACE
     costs = [
         {

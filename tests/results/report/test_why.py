@@ -18,7 +18,7 @@ def test_a_cell_leads_to_rows_pictures_config_and_command(reported):
     assert lines[0] == "cell      extrapolation grey sparse_psnr = 9.5 [9, 10] on d"
     assert lines[1] == "entrant   Grey; paradigm reconstruction; extra prior none"
     assert f"rows      8 in {run}/scores.parquet, as pandas" in text
-    assert 'method == "grey" and variant == "default" and metric == "sparse_psnr"' in text
+    assert "method == 'grey' and variant == 'default' and metric == 'sparse_psnr'" in text
     lowest = re.findall(r"lowest +9: (\S+)", text)
     assert len(lowest) == 3
     assert all(path.endswith("/000000.png") and "/grey/" in path for path in lowest)
