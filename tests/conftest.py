@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from geoevs.protocol.isolate import THREAD_VARIABLES
+from geoevs.core.isolate import THREAD_VARIABLES
 
 TESTS = Path(__file__).parent
 

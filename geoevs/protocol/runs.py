@@ -12,7 +12,7 @@ from typing import Any
 from geoevs.core.files import new_folder, write_json
 from geoevs.methods.contract import ORACLES, Budget
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, failed, read_outcomes
-from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
+from geoevs.core.isolate import MethodFailedError, Usage, run_isolated
 from geoevs.protocol.targets import read_targets
 
 # Named, not imported: no step's code counts for the others when the workflow hashes it.

@@ -8,7 +8,7 @@ from typing import Any
 
 from geoevs.core.files import new_folder, write_json
 from geoevs.protocol.entries import MethodEntry, failed
-from geoevs.protocol.isolate import MethodFailedError, run_isolated
+from geoevs.core.isolate import MethodFailedError, run_isolated
 from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.scenes.camera import Camera, angle_between

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from geoevs.protocol.isolate import MethodFailedError, run_isolated
+from geoevs.core.isolate import MethodFailedError, run_isolated
 
 CHILD = """
 import os, signal, sys, time
@@ -115,7 +115,8 @@ def test_a_child_that_leaves_early_has_failed_whatever_its_code(isolated):
     ("number", "reason"),
     [
         (signal.SIGSEGV, "the process was killed by SIGSEGV"),
-        (signal.SIGKILL, "the process was killed by SIGKILL, perhaps for lack of memory"),
+        (36, "the process was killed by signal 36"),
+        (signal.SIGKILL, "machine: the process was killed by SIGKILL, perhaps for lack of memory"),
     ],
 )
 def test_a_child_that_is_killed_says_by_what(isolated, number, reason):
