@@ -1,6 +1,6 @@
-"""Running one step of a stranger's code in a process of its own, so that nothing it does ends the run.
+"""Running one step of a stranger's code in a process of its own: nothing it does ends the run.
 
-Between the two stands a supervisor (`geoevs.core.supervise`), which ends the process at its limit,
+Between the two stands a supervisor (`geoevs.core.supervise`), which ends the process at its limit
 and with it all that it has started. Output goes to a log. A crash, even of the interpreter, becomes
 a `MethodFailedError` with its reason; peak memory is that of the process and its workers.
 """
@@ -60,9 +60,9 @@ class MethodFailedError(Exception):
 
 @dataclass(frozen=True)
 class Usage:
-    """What a step used: peak memory of its processes and peak GPU memory of the main one, in bytes.
+    """What a step used: peak memory of its processes, peak GPU memory of the main one, in bytes.
 
-    `parts` are the seconds of the parts that it announced (see `begin_part`), by the runner's clock.
+    `parts` are the seconds of its parts by the runner's clock (see `begin_part`).
     """
 
     peak_memory: int
@@ -129,6 +129,24 @@ def run_isolated(
         }
         report = _supervised(wanted, limit)
     return _result(report)
+
+
+def absolute_paths(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options whose relative paths are absolute: steps work in folders of their own.
+
+    A text is a path if it names a folder, or a file in one, from where the runner works.
+    """
+    return {
+        name: os.path.abspath(value) if isinstance(value, str) and _is_path(value) else value
+        for name, value in options.items()
+    }
+
+
+def _is_path(text: str) -> bool:
+    try:
+        return os.path.isdir(text) or (os.sep in text and os.path.exists(text))
+    except ValueError:  # a null character
+        return False
 
 
 def _touch(log: Path) -> None:

@@ -58,11 +58,10 @@ def descendants(root: int) -> list[int]:
 
 def resident(pid: int) -> int:
     """Bytes of memory of a process; what several share counts in parts."""
-    with contextlib.suppress(OSError, ValueError):
-        with open(f"/proc/{pid}/smaps_rollup", "rb") as file:
-            for line in file:
-                if line.startswith(b"Pss:"):
-                    return int(line.split()[1]) * 1024
+    with contextlib.suppress(OSError, ValueError), open(f"/proc/{pid}/smaps_rollup", "rb") as file:
+        for line in file:
+            if line.startswith(b"Pss:"):
+                return int(line.split()[1]) * 1024
     return 0
 
 
@@ -124,7 +123,7 @@ class Watch:
         self.peak = 0
         self.parts: dict[str, float] = {}
         self._part = ("", 0.0)
-        self._status: "int | None" = None
+        self._status: int | None = None
         self._received = b""
         self._log = _Log(wanted["log"], wanted["log_bytes"]) if wanted["log"] else None
         self._start(wanted)
