@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from geoevs.cli.arguments import (
+    Attempt,
     Dataset,
     EntrantsFile,
+    Limit,
     Out,
     Run,
     SceneFolder,
@@ -72,6 +74,9 @@ def stability_render(
     options: Annotated[str, typer.Option(help="The method's own, as a JSON object.")] = "{}",
     variant: str = "default",
     seed: Seed = 0,
+    fit_limit: Limit = None,
+    render_limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit and render a method under all stresses of a group; failures are written down."""
     from geoevs.protocol.entries import MethodEntry
@@ -79,7 +84,8 @@ def stability_render(
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
     given = zip(stresses(group, parse_json("--settings", settings)), scenes, strict=True)
-    render_stresses(entry, list(given), targets, masks, out, method_log)
+    limits = {"fit": fit_limit, "render": render_limit}
+    render_stresses(entry, list(given), targets, masks, out, method_log, limits, attempt)
 
 
 def stability_score(

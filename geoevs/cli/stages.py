@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Dataset, Out, Run, SceneFolder, SceneInRun, parse_json
+from geoevs.cli.arguments import (
+    Attempt,
+    Dataset,
+    Limit,
+    Out,
+    Run,
+    SceneFolder,
+    SceneInRun,
+    parse_json,
+)
 from geoevs.core.progress import progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
@@ -114,7 +123,9 @@ def fit(
     options: Options = "{}",
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(min=1)] = 1,
-    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it may take.")] = None,
+    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it should take.")] = None,
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit a method to a scene; a failure is written down, not raised."""
     from geoevs.methods.contract import Budget
@@ -122,7 +133,8 @@ def fit(
     from geoevs.protocol.runs import fit_method
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
-    fit_method(entry, scene, targets, Budget(fit_seconds, threads), out, method_log)
+    budget = Budget(fit_seconds, threads)
+    fit_method(entry, scene, targets, budget, out, method_log, limit, attempt)
 
 
 def render(
@@ -135,13 +147,16 @@ def render(
     run: OfOracles = "",
     dataset: OfOracles = "",
     scene: OfOracles = "",
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import render_method
 
     answers = {"run": run, "dataset": dataset, "scene": scene}
-    render_method(MethodEntry(method), model, targets, masks, out, method_log, answers)
+    entry = MethodEntry(method)
+    render_method(entry, model, targets, masks, out, method_log, answers, limit, attempt)
 
 
 def score(
@@ -156,7 +171,7 @@ def score(
     seed: Seed = 0,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
     from geoevs.protocol.scoring import cost_rows, score_method
@@ -166,8 +181,8 @@ def score(
     entry, answers = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
     fingerprint = protocol_fingerprint(answers.scene, settings)
     rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
-    write_bytes(out, score_frame(rows).to_parquet(index=False))
-    write_bytes(costs, cost_frame(cost_rows(entry, answers)).to_parquet(index=False))
+    write_parquet(out, score_frame(rows))
+    write_parquet(costs, cost_frame(cost_rows(entry, answers)))
 
 
 def score_sets(
@@ -181,13 +196,13 @@ def score_sets(
     seed: Seed = 0,
 ) -> None:
     """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.set_scoring import score_sets as score
     from geoevs.protocol.set_scoring import set_frame
 
     rows = score(MethodEntry(method, variant, {}, seed), run, dataset, scenes, confidence)
-    write_bytes(out, set_frame(rows).to_parquet(index=False))
+    write_parquet(out, set_frame(rows))
 
 
 def export(

@@ -51,11 +51,13 @@ class MethodFailedError(Exception):
         reason: why.
         kind: MACHINE, TIMEOUT, or empty.
         limit: the seconds that it had, where it took more.
+
+    `part` is the last part of the step that had begun (see `begin_part`), if any had.
     """
 
     def __init__(self, reason: str, kind: str = "", limit: float | None = None) -> None:
         super().__init__(f"{kind}: {reason}" if kind else reason)
-        self.kind, self.limit = kind, limit
+        self.kind, self.limit, self.part = kind, limit, ""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,11 @@ def run_isolated(
             "log_bytes": LOG_BYTES,
         }
         report = _supervised(wanted, limit)
-    return _result(report)
+    try:
+        return _result(report)
+    except MethodFailedError as failure:
+        failure.part = (report or {}).get("part", "")
+        raise
 
 
 def absolute_paths(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -123,6 +123,7 @@ class Watch:
         self.peak = 0
         self.parts: dict[str, float] = {}
         self._part = ("", 0.0)
+        self._answered = 0.0
         self._status: int | None = None
         self._received = b""
         self._log = _Log(wanted["log"], wanted["log_bytes"]) if wanted["log"] else None
@@ -188,6 +189,7 @@ class Watch:
         status = statuses.get(self.pid, 0) if self._status is None else self._status
         for descriptor in list(self._readers):
             self._drain(descriptor)
+        part = self._part[0]
         self._close_part()
         return {
             "code": os.waitstatus_to_exitcode(status),
@@ -195,6 +197,7 @@ class Watch:
             "limit": self.limit,
             "answer": self.answer,
             "peak_memory": self.peak,
+            "part": part,
             "parts": self.parts,
             "seconds": seconds,
         }
@@ -263,15 +266,15 @@ class Watch:
                     self.limit = told["limit"]
                     self.deadline = None if self.limit is None else self._part[1] + self.limit
             else:
-                self._close_part()
                 self.answer = told
+                self._answered = time.monotonic()
         if len(self._received) > LONGEST_ANSWER:
             self.ended = self.ended or "forged"
 
     def _close_part(self) -> None:
         name, began = self._part
         if name:
-            self.parts[name] = time.monotonic() - began
+            self.parts[name] = (self._answered or time.monotonic()) - began
         self._part = ("", 0.0)
 
     def _reap(self) -> None:
