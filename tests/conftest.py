@@ -26,6 +26,7 @@ SLOW = (
     "geometry/test_finetuning.py",
     "geometry/test_refinement.py",
     "methods/test_training.py",
+    "protocol/test_misbehaving.py",
     "protocol/test_runs.py",
     "results/report/test_browser.py",
     "scenes/test_street.py",
