@@ -22,9 +22,8 @@ COSTS = {
     "memory_mb": "peak memory (main or GPU, the larger), MB",
     "size_mb": "model on disk, MB",
 }
-"""What a picture costs, by its column and its axis. `ready_seconds` is all the time until a method
-shows views at the pace of `render_seconds`: where work lies, in the fit or after it, does not matter
-there."""
+"""What a picture costs, by its column and its axis. `ready_seconds` is the time until a method
+shows views at the pace of `render_seconds`, whether it works in the fit or puts that off."""
 
 SPEED = "render_seconds"
 """The cost that charts of bins show."""

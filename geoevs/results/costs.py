@@ -25,9 +25,10 @@ COLUMNS = {
 LEGEND = """Means over n fits; *controls* in italics. `fit s` = seconds for one scene, with networks
 that were trained before; `training s` = seconds that the run trained those networks for, the depth
 network's fine-tuning among them: once for all scenes, and in no `fit s`. Empty = nothing is
-trained, or nobody timed it; what starting weights took before the run does not count. `load` = opening a
-fitted scene; `first view` = rendering one view before those that `render` is the median of. Memory =
-the peak of fitting and rendering, workers among it; of a GPU's, that of the main process alone. `primitives` = Gaussians, or what the row's note says; 0 = none.
+trained, or nobody timed it; what starting weights took before the run does not count. `load` =
+opening a fitted scene; `first view` = a view rendered before those that `render` is the median of.
+Memory = the peak of fitting and rendering, workers among it; of GPU memory that of the main process
+alone. `primitives` = Gaussians, or what the row's note says; 0 = none.
 `parameters` = learned values, those of networks among them. `on disk` = a fitted scene, with all
 that rendering it needs. `failed` = fits without a result; no mean holds them.
 """

@@ -52,7 +52,7 @@ def test_a_note_is_one_short_line():
     assert note.startswith("two lines[31m x")
     assert len(note) < 600
     for value in (None, b"n", 3):
-        with pytest.raises(GeoEvsError, match="^FitReport.note is a .*; make it a text$"):
+        with pytest.raises(GeoEvsError, match=r"^FitReport.note is a .*; make it a text$"):
             checked_report(FitReport(note=value))
 
 
@@ -102,5 +102,5 @@ def test_what_is_no_picture_is_refused(sentence):
 
 
 def test_what_is_no_rendering_is_refused():
-    with pytest.raises(GeoEvsError, match="^render returned ndarray; return a Rendering$"):
+    with pytest.raises(GeoEvsError, match=r"^render returned ndarray; return a Rendering$"):
         checked_rgb(grey(), CAMERA)
