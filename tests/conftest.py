@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from geoevs.protocol.isolate import THREAD_VARIABLES
+from geoevs.core.isolate import THREAD_VARIABLES
 
 TESTS = Path(__file__).parent
 
@@ -26,6 +26,7 @@ SLOW = (
     "geometry/test_finetuning.py",
     "geometry/test_refinement.py",
     "methods/test_training.py",
+    "protocol/test_misbehaving.py",
     "protocol/test_runs.py",
     "results/report/test_browser.py",
     "scenes/test_street.py",

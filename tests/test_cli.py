@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from geoevs.cli import main as cli
+from geoevs.core.parquet import write_parquet
 from geoevs.methods.tiny import write_tiny_scene
 
 
@@ -218,11 +219,11 @@ def test_rows_of_many_jobs_become_one_file(geoevs, tmp_path):
     frames = [frame.astype({"a": "string", "b": "int64"}) for frame in frames]
     parts = [tmp_path / f"{number}.parquet" for number in range(3)]
     for part, frame in zip(parts, frames, strict=True):
-        frame.to_parquet(part, index=False)
+        write_parquet(part, frame)
     assert geoevs("collect", *parts, "--out", tmp_path / "all.parquet") == (0, "", "")
     found = pd.read_parquet(tmp_path / "all.parquet")
     pd.testing.assert_frame_equal(found, pd.concat(frames, ignore_index=True))
-    frames[0].drop(columns="b").to_parquet(parts[2], index=False)
+    write_parquet(parts[2], frames[0].drop(columns="b"))
     code, _, errors = geoevs("collect", *parts, "--out", tmp_path / "all.parquet")
     assert code == 1
     assert errors == (

@@ -7,8 +7,10 @@ import typer
 
 from geoevs import layout
 from geoevs.cli.arguments import (
+    Attempt,
     Dataset,
     EntrantsFile,
+    Limit,
     Out,
     Run,
     SceneFolder,
@@ -75,6 +77,9 @@ def stability_render(
     options: Annotated[str, typer.Option(help="The method's own, as a JSON object.")] = "{}",
     variant: str = "default",
     seed: Seed = 0,
+    fit_limit: Limit = None,
+    render_limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit and render a method under all stresses of a group; failures are written down."""
     from geoevs.protocol.entries import MethodEntry
@@ -82,7 +87,8 @@ def stability_render(
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
     given = zip(stresses(group, parse_json("--settings", settings)), scenes, strict=True)
-    render_stresses(entry, list(given), targets, masks, out, method_log)
+    limits = {"fit": fit_limit, "render": render_limit}
+    render_stresses(entry, list(given), targets, masks, out, method_log, limits, attempt)
 
 
 def stability_score(

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Dataset, Out, Run, SceneFolder, SceneInRun, parse_json
+from geoevs.cli.arguments import (
+    Attempt,
+    Dataset,
+    Limit,
+    Out,
+    Run,
+    SceneFolder,
+    SceneInRun,
+    parse_json,
+)
 from geoevs.core.progress import progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
@@ -123,7 +132,9 @@ def fit(
     options: Options = "{}",
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(min=1)] = 1,
-    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it may take.")] = None,
+    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it should take.")] = None,
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit a method to a scene; a failure is written down, not raised."""
     from geoevs.methods.contract import Budget
@@ -131,7 +142,8 @@ def fit(
     from geoevs.protocol.runs import fit_method
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
-    fit_method(entry, scene, targets, Budget(fit_seconds, threads), out, method_log)
+    budget = Budget(fit_seconds, threads)
+    fit_method(entry, scene, targets, budget, out, method_log, limit, attempt)
 
 
 def render(
@@ -144,13 +156,16 @@ def render(
     run: OfOracles = "",
     dataset: OfOracles = "",
     scene: OfOracles = "",
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import render_method
 
     answers = {"run": run, "dataset": dataset, "scene": scene}
-    render_method(MethodEntry(method), model, targets, masks, out, method_log, answers)
+    entry = MethodEntry(method)
+    render_method(entry, model, targets, masks, out, method_log, answers, limit, attempt)
 
 
 def score(
@@ -166,7 +181,7 @@ def score(
     run_seed: Annotated[int, typer.Option(min=0, help="The config's seed.")] = 0,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.provenance import check_answers
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
@@ -178,8 +193,8 @@ def score(
     check_answers(answers, run_seed, settings)
     fingerprint = protocol_fingerprint(answers.scene, settings)
     rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
-    write_bytes(out, score_frame(rows).to_parquet(index=False))
-    write_bytes(costs, cost_frame(cost_rows(entry, answers)).to_parquet(index=False))
+    write_parquet(out, score_frame(rows))
+    write_parquet(costs, cost_frame(cost_rows(entry, answers)))
 
 
 def score_sets(
@@ -193,13 +208,13 @@ def score_sets(
     seed: Seed = 0,
 ) -> None:
     """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.set_scoring import score_sets as score
     from geoevs.protocol.set_scoring import set_frame
 
     rows = score(MethodEntry(method, variant, {}, seed), run, dataset, scenes, confidence)
-    write_bytes(out, set_frame(rows).to_parquet(index=False))
+    write_parquet(out, set_frame(rows))
 
 
 def export(

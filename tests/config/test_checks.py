@@ -30,7 +30,7 @@ protocol:
   pose_sweep: {angles: [5], every: 2}
   reference_keep: [1.0, 0.5]
   masked: {yaw: [10], lateral: [-3, 3], every: 1}
-budget: {fit_seconds: null}
+budget: {fit_seconds: null, limits: {fit: 9, render: 9, training: null}}
 methods:
   reference: {}
   reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}

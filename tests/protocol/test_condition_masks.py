@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, to_uint8, write_image, write_json
+from geoevs.core.files import read_arrays, read_image, to_uint8, write_image
 from geoevs.core.randomness import Rng
 from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import Budget, Views
@@ -164,7 +164,7 @@ def scored(stage, masked, tmp_path):
     write_targets(answers.path(layout.TARGETS), masked)
 
     def score(**outcome):
-        write_json(renders / "render.json", {"all-cameras": {**OK, **outcome}})
+        stage.seal(renders, {"all-cameras": {**OK, **outcome}})
         return score_frame(score_method(entry, answers, [1.0, 0.5], "f"))
 
     return score

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from geoevs import layout
+from geoevs.core.attempts import next_attempt
 from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
 from geoevs.config.entrants import method_entries, stability_entries
@@ -262,6 +263,29 @@ def method_code(step):
         return code_hash(
             f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", adapter
         )
+
+    return of
+
+
+# Seconds after which steps are ended, as options of commands. They are no params: another limit
+# concerns only what ran into the one before, which `attempt` sees.
+LIMITS = config["budget"]["limits"]
+LIMIT_OPTIONS = {
+    step: "" if seconds is None else f"--limit {seconds}"
+    for step, seconds in LIMITS.items()
+}
+
+
+def attempt(pattern, *outcomes):
+    """A function for `params`: the number of the attempt that outcomes in an output ask for.
+
+    After a fault of the machine it is another than the last time, so that the job runs again.
+    """
+
+    def of(wildcards):
+        output = Path(in_run(pattern).format(**wildcards))
+        files = [file for name in outcomes for file in output.glob(name)]
+        return next_attempt(files if outcomes else [output], LIMITS)
 
     return of
 

@@ -61,11 +61,13 @@ rule stability_render:
     params:
         entry=stability_arguments,
         options=lambda wildcards: method_options(STABILITY_ENTRIES, wildcards),
+        attempt=attempt(layout.STABILITY_RENDERS, "*/outcome.json"),
         code=method_code("stability"),
     shell:
         "geoevs --log {log[0]:q} stability-render {input.scenes:q} {params.entry}"
         " --options {params.options:q} --targets {input.targets:q} --masks {input.masks:q}"
-        " --method-log {log.method:q} --out {output:q}"
+        " --method-log {log.method:q} {STABILITY_LIMITS} --attempt {params.attempt}"
+        " --out {output:q}"
 
 
 rule stability_score:
