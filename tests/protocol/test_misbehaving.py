@@ -118,7 +118,7 @@ METHODS = {
     "beyond": ("render", "raise Beyond('x')", "render", "^Beyond: x$"),
     "bottomless": ("fit", "f = lambda: f()\nf()", "fit", "^RecursionError: "),
     "out-of-memory": ("fit", "raise MemoryError", "fit", "^machine: MemoryError: no message$"),
-    "a-billion-gigabytes": ("fit", "np.zeros(2**60)", "fit", "^machine: .*MemoryError: Unable"),
+    "a-billion-gigabytes": ("fit", "np.zeros(2**50)", "fit", "^machine: .*MemoryError: Unable"),
     "a-full-disk": ("save", "raise OSError(errno.ENOSPC, 'No space left on device')", "fit",
                     r"^machine: OSError: \[Errno 28\] No space left"),
     "a-full-disk-behind": (
