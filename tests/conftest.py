@@ -21,6 +21,7 @@ SLOW = (
     "baselines/gaussians/test_training.py",
     "baselines/street_gaussians/test_adapter.py",
     "baselines/three_dgs/test_adapter.py",
+    "config/test_snakemake.py",
     "generator/test_task.py",
     "geometry/test_depth_loss.py",
     "geometry/test_finetuning.py",

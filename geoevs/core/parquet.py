@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import whole_file, write_bytes
+from geoevs.core.files import check_file, whole_file, write_bytes
 
 LONGEST_TEXT = 10_000
 """Most bytes of a text in a table."""
@@ -93,9 +93,7 @@ def read_parquet(
         GeoEvsError: the file is missing, damaged or a bomb, or a column is missing, has another
             type, or lacks a text or a whole number. Numbers that are not whole may be NaN.
     """
-    path, columns = Path(path), list(types if columns is None else columns)
-    if path.exists() and not path.is_file():
-        raise GeoEvsError(f"{path} is not whole (it is no file); delete it and make it again")
+    path, columns = check_file(path), list(types if columns is None else columns)
     texts = [name for name in columns if types[name] == "string"]
     with whole_file(path):
         file = pq.ParquetFile(path, read_dictionary=texts)

@@ -3,6 +3,7 @@
 import copy
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -13,7 +14,11 @@ from geoevs.config.partitions import expand_scenes
 from geoevs.config.values import check_values
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.names import expanded
+from geoevs.core.randomness import Rng
 from geoevs.core.settings import SettingError, plain_advice
+from geoevs.methods.contract import Budget
+from geoevs.methods.finding import make_method
+from geoevs.scenes.scene import load_source
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
@@ -70,6 +75,9 @@ def test_no_number_of_the_config_may_be_endless(value):
         ("tables/confidence", float("nan"), "nan is not a number that can be used"),
         ("tables/resamples", 10**12, "make it 1,000,000 or less"),
         ("datasets/street/options/frames", 10**9, "choose from 1 to 60"),
+        ("methods/three-dgs/options", {"gaussians": 10**12}, "make it 100,000,000 or less"),
+        ("methods/emernerf/options", {"levels": 10**6}, "make it 32 or less"),
+        ("methods/emernerf/options", {"iterations": 10**12}, "make it 1,000,000,000 or less"),
         ("methods/geo-evs/seeds", [2**31], "make it 2,147,483,647 or less"),
         ("pretrain/prior/steps", 10**10, "make it 1,000,000,000 or less"),
         ("trainings/geo-evs/steps", 10**10, "make it 1,000,000,000 or less"),
@@ -163,6 +171,12 @@ def test_a_path_as_written_comes_before_one_with_names_in_it(tmp_path, monkeypat
     for name in ("a$HERE b", "~"):
         Path(name).mkdir()
         assert expanded(name) == Path(name)
+    Path("a$HERE b/x").mkdir()
+    source = load_source("pandaset", 16, 16, {"folder": "a$HERE b"})
+    assert source.folder == Path("a$HERE b")
+    views = SimpleNamespace(scene_name="x")
+    external = make_method("external", {"folder": "a$HERE b"})
+    external.fit(views, Budget(), Rng(0, "x"))
     assert expanded("n" * 5000 + "\0") == Path("n" * 5000 + "\0")
 
 
