@@ -115,8 +115,10 @@ def write_references(
         seed: decides which pixels a thinned reference keeps.
     """
     reprojection = RawReprojection(scene)
-    write_records(references, make_references(scene, targets, reprojection, seed))
-    write_records(masks, make_condition_masks(targets, reprojection))
+    made = make_references(scene, targets, reprojection, seed)
+    degraded = make_condition_masks(targets, reprojection)
+    write_records(references, made)  # only now, so that an error above leaves neither
+    write_records(masks, degraded)
 
 
 def make_references(

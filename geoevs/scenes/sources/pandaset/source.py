@@ -159,16 +159,16 @@ def _find_cameras(folder: Path) -> tuple[str, ...]:
     return (*known, *sorted(folders.difference(CAMERA_ORDER)))
 
 
-def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> list[int]:
+def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> Sequence[int]:
     """Numbers of the frames to read, in order, after checking that every file of them is there."""
     files = {folder / "lidar": "pkl.gz"} | {folder / "camera" / name: "jpg" for name in cameras}
     numbers = {sensor: _frame_numbers(sensor, suffix) for sensor, suffix in files.items()}
     on_disk = set().union(*numbers.values())
     if not on_disk:
         raise GeoEvsError(f"{folder} has no LiDAR sweeps and no images; download the sequence")
-    frames = sorted(on_disk)
+    frames: Sequence[int] = sorted(on_disk)
     if scene.first is not None and scene.last is not None:
-        frames = list(range(scene.first, scene.last + 1))
+        frames = range(scene.first, scene.last + 1)
     for frame in frames:
         for sensor, suffix in files.items():
             if frame not in numbers[sensor]:
