@@ -82,11 +82,13 @@ class Source:
         cameras = _find_cameras(folder)
         frames = _find_frames(folder, cameras, scene)
         sensors = [folder / "lidar", *(folder / "camera" / name for name in cameras)]
+        places = []
         for sensor in sensors:
-            for file in ("poses.json", "timestamps.json"):
-                read_entry(sensor / file, frames[-1])
-        # Not the mean: one sensor whose pose is wrong must not move the others.
-        places = [read_pose(sensor / "poses.json", frames[0])[:3, 3] for sensor in sensors]
+            read_entry(sensor / "poses.json", frames[-1])
+            for frame in frames:
+                read_timestamp(sensor / "timestamps.json", frame)
+            places.append(read_pose(sensor / "poses.json", frames[0])[:3, 3])
+        # Not their mean: one sensor whose pose is wrong must not move the others.
         info = SceneInfo(
             scene.name, "pandaset", LICENCE, RIG, cameras, scene_origin(np.median(places, axis=0))
         )
