@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from geoevs import layout
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_arrays, read_image, to_float
 from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.regions import Answer, masked_regions, regions
 from geoevs.protocol.targets import Target, read_targets
+from geoevs.scenes.checks import check_depth
 from geoevs.scenes.store import Scene
 
 
@@ -61,11 +63,24 @@ class Answers:
 
     def reference(self, target: Target) -> SparseReference | None:
         """The sparse reference of a target, masked or not; None where a camera recorded it."""
-        return None if target.recorded else self._references[target.unmasked.key]
+        if target.recorded:
+            return None
+        reference = self._references[target.unmasked.key]
+        self._check_size(reference.reprojected, target, layout.REFERENCES)
+        return reference
 
     def mask(self, target: Target) -> ConditionMask:
         """The degradation of a masked target's condition map."""
-        return self._masks[target.key]
+        mask = self._masks[target.key]
+        self._check_size(mask.keep, target, layout.MASKS)
+        return mask
+
+    def _check_size(self, image: np.ndarray, target: Target, pattern: str) -> None:
+        if image.shape[:2] != (target.camera.height, target.camera.width):
+            raise GeoEvsError(
+                f"{self.path(pattern)} is of another size than target {target.key}; delete it and "
+                "make it again"
+            )
 
     def truth(self, target: Target) -> np.ndarray | None:
         """(H, W, 3) float32 in [0, 1]: true pixels of a target; None where nobody knows them."""
@@ -83,7 +98,13 @@ class Answers:
         None where nobody knows it.
         """
         path = self._truth_file(target.unmasked, "npz")
-        return read_arrays(path)["depth"] if path.exists() else None
+        if not path.exists():
+            return None
+        arrays = read_arrays(path)
+        if "depth" not in arrays:
+            raise GeoEvsError(f"{path} has no array 'depth'; delete it and make it again")
+        check_depth(arrays["depth"], path)
+        return arrays["depth"]
 
     def _truth_file(self, target: Target, suffix: str) -> Path:
         return self.path(layout.TRUTH) / f"{target.key}.{suffix}"

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file, write_arrays
 from geoevs.methods.contract import Views
 from geoevs.scenes.checks import check_depth
@@ -66,11 +65,8 @@ class PointMaps:
         Raises:
             GeoEvsError: the file has no such view, or what it has is no depth map.
         """
-        key = _key(camera, frame)
         with whole_file(self._path):
-            if key not in self._file:
-                raise GeoEvsError(f"it has no depth of camera '{camera}' in frame {frame}")
-            depth = self._file[key]
+            depth = self._file[_key(camera, frame)]
         check_depth(depth, f"{self._path}: the depth of camera '{camera}' in frame {frame}")
         return depth
 

@@ -70,7 +70,8 @@ class Camera:
         self._check_lens(who)
         rotation = self.world_from_camera[:3, :3]
         rigid = (
-            np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
+            np.abs(rotation).max() < 2  # whose products are no overflow
+            and np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
             and np.linalg.det(rotation) > 0
             and np.allclose(self.world_from_camera[3], [0, 0, 0, 1])
         )

@@ -205,7 +205,7 @@ def checked_points(points: PointCloud, cameras: int, where: Where) -> PointCloud
         if array.shape != (count, *shape) or array.dtype.kind not in kinds:
             raise GeoEvsError(
                 f"{where}: '{name}' of the LiDAR points is {array.dtype} of shape {array.shape}; "
-                f"give {np.dtype(dtype)} of shape ({count}, *{shape})"
+                f"give {np.dtype(dtype)} of shape {(count, *shape)}"
             )
         good = (array >= low) & (array <= (cameras - 1 if name == "camera" else high))
         if not good.all():  # NaN is not good either

@@ -229,9 +229,9 @@ class SceneRef(NamedTuple):
 
         Raises:
             GeoEvsError: the text is of neither form; names have letters, digits and `_ . -`, so
-                that none leaves its folder or needs quotes.
+                that none leaves its folder or needs quotes, frames at most six digits.
         """
-        match = re.fullmatch(r"([a-zA-Z0-9_][a-zA-Z0-9_.-]*)(?:@([0-9]+)-([0-9]+))?", text)
+        match = re.fullmatch(r"([a-zA-Z0-9_][a-zA-Z0-9_.-]*)(?:@([0-9]{1,6})-([0-9]{1,6}))?", text)
         if match is not None:
             name, first, last = match.groups()
             if first is None:

@@ -171,21 +171,40 @@ def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
 
 
 def _read_info(path: Path) -> SceneInfo:
-    described = read_json(path)
+    described = _fields(read_json(path), SceneInfo, path)
     try:
-        rig, cameras = Rig(**described["rig"]), tuple(described["cameras"])
-        origin = tuple(described.get("origin", (0.0, 0.0, 0.0)))
-        described = {**described, "rig": rig, "cameras": cameras, "origin": origin}
-        described["made_with"] = dict(described.get("made_with", {}))
-        info = SceneInfo(**described)
+        described["rig"] = Rig(**_fields(described["rig"], Rig, path))
     except GeoEvsError as error:
-        raise GeoEvsError(f"{path}: {error}") from error
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise error if str(path) in str(error) else GeoEvsError(f"{path}: {error}") from error
+    for name in ("cameras", "origin"):
+        if not isinstance(described.get(name, []), list):
+            raise GeoEvsError(f"{path} describes no scene ('{name}' is no list); remake the store")
+    described |= {
+        name: tuple(described[name]) for name in ("cameras", "origin") if name in described
+    }
+    if not isinstance(described.get("made_with", {}), dict):
         raise GeoEvsError(
-            f"{path} describes no scene ({clean(str(error))}); remake the store"
-        ) from error
+            f"{path} describes no scene ('made_with' is no mapping); remake the store"
+        )
+    info = SceneInfo(**described)
     check_info(info, path)
     return info
+
+
+def _fields(value: Any, kind: type, path: Path) -> dict[str, Any]:
+    """A JSON object that has the fields of a dataclass and no others."""
+    missing = dataclasses.MISSING
+    names = {
+        field.name: field.default is field.default_factory is missing
+        for field in dataclasses.fields(kind)
+    }
+    if not isinstance(value, dict):
+        raise GeoEvsError(f"{path} describes no scene (no {kind.__name__}); remake the store")
+    for name in (*(name for name in names if names[name] and name not in value), *value):
+        if name not in names or name not in value:
+            shown = clean(name, 40)
+            raise GeoEvsError(f"{path} describes no scene ('{shown}'); remake the store")
+    return dict(value)
 
 
 class _View(NamedTuple):
@@ -208,9 +227,7 @@ def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int],
     entries = described.get("frames") if isinstance(described, dict) else None
     if not isinstance(entries, list):
         raise GeoEvsError(f"{path} lists no views in 'frames'; remake the store")
-    shared = {
-        field: described[field] for field in ("camera_model", *DISTORTION) if field in described
-    }
+    _check_undistorted(described, f"{path}: the camera of all views")
     views: dict[tuple[str, int], _View] = {}
     images: set[Path] = set()
     for entry in entries:
@@ -229,7 +246,7 @@ def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int],
         if not image.is_file():
             raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
         images.add(image)
-        camera = camera_from_json({**shared, **entry}, name, path)
+        camera = camera_from_json(entry, name, path)
         views[key] = _View(camera, image, timestamp(entry["timestamp"], who))
     return views
 

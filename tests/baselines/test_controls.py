@@ -1,5 +1,7 @@
 """Each control against expectations derived by hand on the tiny scene."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from baselines.controls.nearest_view.adapter import infinite_homography
 from baselines.controls.reproject_inpaint.adapter import fill_holes
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_float, to_uint8, write_image
+from geoevs.core.files import read_json, to_float, to_uint8, write_image, write_json
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
@@ -196,6 +198,21 @@ def test_external_reads_the_targets_png(scene, tmp_path):
         method.render(between(), 0)
     with pytest.raises(GeoEvsError, match=r"000001\.png is 48 x 72 but its target is 24 x 36"):
         method.render(between().resized(24, 36), 1)
+
+
+def test_external_reads_nothing_outside_its_folder(scene, tmp_path):
+    (tmp_path / "images" / scene.info.name).mkdir(parents=True)
+    method = fitted(scene, "external", folder=str(tmp_path / "images"))
+    camera = dataclasses.replace(scene.camera("front", 0), name="../../secret")
+    with pytest.raises(GeoEvsError, match=r"target '../../secret' is not an allowed name"):
+        method.render(camera, 0)
+    method.save(tmp_path)
+    for change in ({"scene": "../secret"}, {"scene": None}, {"folder": 5}):
+        place = read_json(tmp_path / "external.json")
+        write_json(tmp_path / "external.json", place | change)
+        with pytest.raises(GeoEvsError, match=r"external\.json"):
+            type(method).load(tmp_path)
+        write_json(tmp_path / "external.json", place)
 
 
 def test_external_needs_its_folder(scene, tmp_path):

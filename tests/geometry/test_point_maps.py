@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_arrays
 from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.point_maps import PointMaps, write_point_maps
 from geoevs.methods.tiny import write_tiny_scene
@@ -48,3 +49,18 @@ def test_what_is_not_there_is_named(scene, tmp_path):
     write_point_maps(tmp_path / "maps.npz", scene, Numbered(), lambda: None)
     with pytest.raises(GeoEvsError, match=r"maps.npz is not whole .*000007/front"):
         PointMaps(tmp_path / "maps.npz").depth("front", 7)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_what_is_no_depth_is_neither_written_nor_read(scene, tmp_path, value):
+    class Broken:
+        def depths(self, views, frame):
+            return dict.fromkeys(views.cameras, np.full((48, 72), value, np.float32))
+
+    path = tmp_path / "maps.npz"
+    with pytest.raises(GeoEvsError, match="map of camera 'front' in frame 0 of scene 'tiny' is no"):
+        write_point_maps(path, scene, Broken(), lambda: None)
+    assert not path.exists()
+    write_arrays(path, {"000000/front": np.full((48, 72), value, np.float32)})
+    with pytest.raises(GeoEvsError, match=r"maps.npz: the depth of camera 'front' in frame 0 is"):
+        PointMaps(path).depth("front", 0)

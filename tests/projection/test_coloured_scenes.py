@@ -1,8 +1,11 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
+from geoevs.core.errors import GeoEvsError
 from geoevs.methods.tiny import tiny_truth, write_tiny_scene
+from geoevs.projection import colour_points
 from geoevs.projection.coloured_scenes import write_coloured_scene
 from geoevs.scenes.depths import read_depths
 from geoevs.scenes.scene import Frame, PointCloud, SceneRecord
@@ -45,3 +48,35 @@ def test_a_store_is_coloured_and_depths_lie_apart(tmp_path):
     assert sorted(files) == sorted(
         path.relative_to(tmp_path / "expected") for path in (tmp_path / "expected").rglob("*")
     )
+
+
+def test_a_scene_that_cannot_score_or_condition_leaves_nothing(tmp_path):
+    tiny = write_tiny_scene(tmp_path / "tiny")
+
+    def frames(keep):
+        for frame in uncoloured_frames(tiny):
+            points = frame.points.select(keep(frame.points))
+            yield dataclasses.replace(frame, points=points)
+
+    for keep, sentence in (
+        (lambda points: points.beam % 2 == 0, "no LiDAR point is of odd beams, which score"),
+        (lambda points: points.beam % 2 == 1, "no LiDAR point is of even beams, which condition"),
+        (lambda points: points.xyz[:, 2] > 6.9, "no LiDAR point of odd beams falls into an image"),
+        (lambda points: points.beam < 0, "no LiDAR point is of odd beams"),
+    ):
+        record = SceneRecord(tiny.info, tiny.tracks, frames(keep), 2)
+        with pytest.raises(GeoEvsError, match=f"frame 0 of scene 'tiny': {sentence}"):
+            write_coloured_scene(tmp_path / "out/s", tmp_path / "out/d", record, lambda: None)
+        assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_more_cameras_than_an_int8_counts_are_refused(tmp_path):
+    tiny = write_tiny_scene(tmp_path / "tiny")
+    camera, image = tiny.camera("front", 0), tiny.image("front", 0)
+    names = [f"c{number}" for number in range(128)]
+    with pytest.raises(GeoEvsError, match="128 cameras are too many to colour points; give 127"):
+        colour_points(tiny.points(0), dict.fromkeys(names, camera), dict.fromkeys(names, image))
+    most = colour_points(
+        tiny.points(0), dict.fromkeys(names[:127], camera), dict.fromkeys(names[:127], image)
+    )
+    assert set(most.camera.tolist()) == {-1, 0}

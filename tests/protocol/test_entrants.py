@@ -55,7 +55,7 @@ def test_a_control_is_one_wherever_it_lies(adapter, tmp_path):
     write_json(tmp_path / "entrants.json", describe_entrants({name: {} for name in players}))
     row = {"dataset": "d", "scene": "s", "variant": "default", "split": "masked-observed"}
     row |= {"metric": "psnr", "value": 20.0, "status": "ok", "stressor": "", "reason": ""}
-    row |= {"frame": 0, "fingerprint": "f"}
+    row |= {"frame": 0, "fingerprint": "f", "target": "t", "seed": 0, "level": float("nan")}
     scores = pd.DataFrame([row | {"method": name} for name in players])
     settings = TableSettings([], [], 100, 0.9, "geo-evs")
     table = make_table("masked", scores, settings, Entrants.read(tmp_path / "entrants.json"))

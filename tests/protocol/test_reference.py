@@ -1,10 +1,15 @@
+import dataclasses
+import shutil
+
 import numpy as np
 import pytest
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_arrays, write_arrays
 from geoevs.methods.contract import Views
 from geoevs.methods.tiny import tiny_camera, tiny_truth, write_tiny_scene
 from geoevs.protocol.condition_masks import (
+    ConditionMask,
     ConditionMasks,
     RawReprojection,
     make_condition_masks,
@@ -18,6 +23,7 @@ from geoevs.protocol.reference import (
 )
 from geoevs.protocol.targets import Target, make_targets
 from geoevs.scenes.scene import PointCloud
+from geoevs.scenes.store import Scene
 
 PROTOCOL = {
     "lateral": [-1.0, 1.0],
@@ -149,3 +155,56 @@ def test_a_truncated_file_is_named(tmp_path):
     path.write_bytes(b"PK\x03\x04 not a whole archive")
     with pytest.raises(GeoEvsError, match=r"references.npz is not whole"):
         References(path)["any"]
+
+
+@pytest.mark.parametrize(
+    ("field", "change", "sentence"),
+    [
+        ("pixels", lambda a: a.astype(float), "'pixels' is float64"),
+        ("pixels", lambda a: a[::-1], "out of range"),
+        ("pixels", lambda a: a + 10**6, "out of range"),
+        ("rgb", lambda a: a * np.nan, "'rgb' is float32"),
+        ("rgb", lambda a: a * 255, "out of range"),
+        ("footprint", lambda a: a[:-1], "'footprint' is bool of shape"),
+        ("rank", lambda a: a - 1, "out of range"),
+        ("reprojected", lambda a: a.ravel(), "'reprojected' is bool of shape"),
+    ],
+)
+def test_a_reference_that_cannot_be_is_refused_where_it_is_read(
+    scene, tmp_path, field, change, sentence
+):
+    reference = reference_of(scene.points(0), scene.camera("front", 0))
+    path = tmp_path / "references.npz"
+    write_records(path, {"a": reference})
+    assert (References(path)["a"].pixels == reference.pixels).all()
+    broken = dataclasses.replace(reference, **{field: change(getattr(reference, field))})
+    write_records(path, {"a": broken})
+    with pytest.raises(GeoEvsError, match=f"references.npz is not whole .*{sentence}"):
+        References(path)["a"]
+
+
+@pytest.mark.parametrize(
+    ("keep", "reprojected"),
+    [
+        (np.ones(4), np.ones((2, 2), bool)),
+        (np.ones((2, 2), bool), np.ones((2, 3), bool)),
+        (np.ones((2, 2)), np.ones((2, 2), bool)),
+    ],
+)
+def test_a_mask_that_cannot_be_is_refused_where_it_is_read(tmp_path, keep, reprojected):
+    write_records(tmp_path / "masks.npz", {"a": ConditionMask(keep, reprojected)})
+    with pytest.raises(GeoEvsError, match=r"masks.npz is not whole \(its array"):
+        ConditionMasks(tmp_path / "masks.npz")["a"]
+
+
+def test_a_lidar_that_cannot_score_leaves_neither_file(scene, tmp_path):
+    folder = tmp_path / "scene"
+    shutil.copytree(scene.folder, folder)
+    path = folder / "lidar/000001.npz"
+    arrays = read_arrays(path)
+    write_arrays(path, arrays | {"beam": 2 * (arrays["beam"] // 2)})
+    targets = make_targets(scene, PROTOCOL, seed=0)
+    out = tmp_path / "out"
+    with pytest.raises(GeoEvsError, match=r"frame 1: no LiDAR point is of odd beams"):
+        write_references(out / "r.npz", out / "m.npz", Scene(folder), targets, 0)
+    assert not out.exists()

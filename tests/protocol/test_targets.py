@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import read_json, write_json
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.targets import (
     FRONT_SIDE,
@@ -41,6 +42,20 @@ def test_every_split_of_a_scene(scene):
             assert abs(target.lateral_shift) == 1.0
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lateral": [1.0, 1.0000001]},
+        {"lateral": [-1.0, 1.0, 1.0]},
+        {"pose_sweep": {"angles": [10.0, 10.00000001], "every": 1}},
+        {"masked": {"yaw": [15.0, 15.0], "lateral": [2.0], "every": 1}},
+    ],
+)
+def test_shifts_and_angles_whose_names_collide_are_refused(scene, change):
+    with pytest.raises(GeoEvsError, match=r"scene 'tiny' has \d targets or masks called '"):
+        make_targets(scene, {**PROTOCOL, **change}, seed=0)
+
+
 def test_interpolation_never_shows_the_front_camera(scene):
     assert source_cameras(scene, FRONT_SIDE) == ("left", "right")
     (target, *_) = [t for t in make_targets(scene, PROTOCOL, seed=0) if t.split == "interpolation"]
@@ -63,3 +78,53 @@ def test_targets_survive_a_round_trip(scene, tmp_path):
         np.testing.assert_array_equal(again.camera.K, target.camera.K)
         pose = target.camera.world_from_camera
         np.testing.assert_array_equal(again.camera.world_from_camera, pose)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda t: t.update(name="../../x"), "target '../../x' is not an allowed name"),
+        (lambda t: t.update(name="/tmp/x"), "target '/tmp/x' is not an allowed name"),
+        (lambda t: t.update(name=None), "target 'None' is not an allowed name"),
+        (lambda t: t.update(frame=-1), "frame -1 is no whole number"),
+        (lambda t: t.update(frame="0"), "frame '0' is no whole number"),
+        (lambda t: t.update(split="observd"), "no split 'observd'; did you mean 'observed'?"),
+        (lambda t: t.update(split=["observed"]), "no split '['observed']'"),
+        (lambda t: t.update(sources="all"), "there is no sources 'all'; one of: all-cameras"),
+        (lambda t: t.update(pose_offset=float("nan")), "a pose_offset is nan, no finite"),
+        (lambda t: t.update(lateral_shift="1"), "a lateral_shift is '1', no finite"),
+        (lambda t: t.pop("mask_camera"), "is no target list (one lacks 'mask_camera')"),
+        (lambda t: t.update(mask_camera={}), "must have a mask_camera if its split begins with"),
+        (lambda t: t.update(w=10**7), "side of 10000000 pixels"),
+        (lambda t: t.update(k1=0.1), "the lens distortion k1 = 0.1"),
+    ],
+)
+def test_a_target_that_cannot_be_is_refused(scene, tmp_path, change, sentence):
+    path = tmp_path / "targets.json"
+    write_targets(path, make_targets(scene, PROTOCOL, seed=0))
+    entries = read_json(path)
+    change(next(entry for entry in entries if entry["split"] == "observed"))
+    write_json(path, entries)
+    with pytest.raises(GeoEvsError) as caught:
+        read_targets(path)
+    assert str(path) in str(caught.value)
+    assert sentence in str(caught.value)
+
+
+def test_mask_cameras_and_repeated_targets_are_checked_too(scene, tmp_path):
+    path = tmp_path / "targets.json"
+    write_targets(path, make_targets(scene, PROTOCOL, seed=0))
+    entries = read_json(path)
+    masked = next(entry for entry in entries if entry["mask_camera"])
+    for change, sentence in (
+        ({"mask_camera": None}, "must have a mask_camera"),
+        ({"mask_camera": masked["mask_camera"] | {"name": "a/b"}}, "mask camera 'a/b' is not an"),
+        ({"mask_camera": masked["mask_camera"] | {"cx": -1.0}}, "outside its image"),
+        ({"mask_camera": {"w": 1}}, "one lacks 'name'"),
+    ):
+        write_json(path, [masked | change])
+        with pytest.raises(GeoEvsError, match=sentence):
+            read_targets(path)
+    write_json(path, [masked, masked])
+    with pytest.raises(GeoEvsError, match="has 2 targets or masks called 'masked-"):
+        read_targets(path)

@@ -37,6 +37,16 @@ BROKEN = {
     "3x4 pose": ({"pose": np.eye(4)[:3]}, "3x3 K and a 4x4 pose"),
     "no rows": ({"height": 0}, r"no pixels \(0 x 100\); set its size"),
     "no columns": ({"width": -1}, "no pixels"),
+    "half a row": ({"height": 80.5}, "size that is no whole number"),
+    "true columns": ({"width": True}, "size that is no whole number"),
+    "huge": ({"width": 10**7}, "side of 10000000 pixels; resize"),
+    "beyond integers": ({"height": 2**70}, "side of 1180591620717411.* pixels"),
+    "principal point left": ({"K": changed(K, 0, 2, to=-300)}, r"point at \(-300, 40\), outside"),
+    "principal point below": ({"K": changed(K, 1, 2, to=80.1)}, "outside its image of 80 x 100"),
+    "endless focal length": ({"K": changed(K, 0, 0, to=1e300)}, r"focal lengths 1e\+300 and 120"),
+    "hemispheric": ({"K": changed(K, 1, 1, to=0.5)}, "focal lengths 100 and 0.5"),
+    "far away": ({"pose": changed(np.eye(4), 1, 3, to=4649776)}, "10 km .* subtract an origin"),
+    "overflowing": ({"pose": np.diag([1e300, 1, 1, 1])}, "not rigid"),
 }
 
 
@@ -50,6 +60,13 @@ def test_an_impossible_camera_is_refused_by_name(kind):
 def test_a_pose_with_the_rounding_of_float32_passes():
     pose = tiny_camera("c", 33.0, np.array([500.0, -200.0, 3.0])).world_from_camera
     assert camera(pose=pose.astype(np.float32)).world_from_camera.dtype == np.float64
+
+
+@pytest.mark.parametrize("place", [0, 50, 100])
+def test_a_principal_point_may_lie_anywhere_in_the_image(place):
+    made = camera(changed(K, 0, 2, to=place))
+    for side in (1, 7, 1001):  # rounded, it stays inside
+        assert made.resized(side, side).width == side
 
 
 def test_the_arguments_are_copied():

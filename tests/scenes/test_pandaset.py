@@ -1,10 +1,12 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
@@ -263,6 +265,15 @@ def test_bad_sweeps_are_named_with_their_count(pandaset, pandaset_files, edit, r
         (lambda c: c | {"yaw": np.array([0, np.nan, 0, 0])}, "1 boxes"),
         (lambda c: {k: v for k, v in c.items() if k != "uuid"}, "no column 'uuid'"),
         (lambda c: c | {"yaw": np.array(["north"] * 4, object)}, "text where numbers belong"),
+        (lambda c: c | {"dimensions.y": np.zeros(4)}, "'length' of 4 boxes is no side of a box"),
+        (lambda c: c | {"dimensions.x": -c["dimensions.x"]}, "'width' of 4 boxes"),
+        (lambda c: c | {"dimensions.z": np.array([1, 1, 1, 500.0])}, "'height' of 1 boxes"),
+        (lambda c: c | {"yaw": np.array([0, 0, 90.0, 0])}, "'yaw' of 1 boxes is no angle"),
+        (lambda c: c | {"stationary": np.array(["False"] * 4, object)}, "not true or false"),
+        (lambda c: c | {"stationary": np.array([1, 0, 0, 0])}, "'stationary' that is not true or"),
+        (lambda c: c | {"label": np.array([None] * 4, object)}, "'label' that is not text"),
+        (lambda c: c | {"cuboids.sensor_id": np.array([0, 1, 2, 3])}, "is not -1, 0 or 1"),
+        (lambda c: c | {"uuid": np.array(["a", "a", "b", "c"], object)}, "two boxes of one track"),
     ],
 )
 def test_bad_boxes_are_named(pandaset, pandaset_files, edit, reason):
@@ -273,6 +284,138 @@ def test_bad_boxes_are_named(pandaset, pandaset_files, edit, reason):
 
     assert str(path) in sentence
     assert reason in sentence
+
+
+@pytest.mark.parametrize("camera", ["front_camera", "right_camera", "back_camera"])
+@pytest.mark.parametrize("scale", [0.5, 0.9, 2])
+def test_images_of_another_size_than_their_intrinsics_are_named(pandaset, camera, scale):
+    folder = pandaset / "777/camera"
+    if camera == "right_camera":
+        (folder / "front_left_camera").rename(folder / "x")
+        shutil.copytree(folder / "x", folder / "front_left_camera")
+        (folder / "x").rename(folder / camera)
+        edit_json(folder / camera / "intrinsics.json", lambda k: k | {"fx": 46.125, "fy": 46.125})
+        edit_json(folder / camera / "poses.json", lambda p: [turned(q) for q in p])
+    assert len(read_all(pandaset)[1]) == 2
+    size = round(96 * scale), round(54 * scale)
+    path = folder / camera / "04.jpg"
+    Image.open(path).resize(size).save(path)
+    assert (
+        f"{path} is {size[0]} x {size[1]}, but the focal lengths in intrinsics.json belong to an "
+        in (refusal(pandaset))
+    )
+
+
+def turned(pose: dict) -> dict:
+    """A pose on the other side."""
+    heading = {"w": 0.0, "x": 0.0, "y": 0.5**0.5, "z": -(0.5**0.5)}
+    return {"position": pose["position"], "heading": heading}
+
+
+def test_released_images_under_halved_intrinsics_are_named(pandaset):
+    folder = pandaset / "777/camera/back_camera"
+    for frame in (3, 4):
+        Image.new("RGB", (1920, 1080)).save(folder / f"{frame:02d}.jpg")
+    half = {"fx": 467.0, "fy": 467.0, "cx": 479.5, "cy": 269.5}
+    edit_json(folder / "intrinsics.json", lambda k: half)
+    assert "03.jpg is 1920 x 1080, but the focal lengths in intrinsics.json belong to" in refusal(
+        pandaset
+    )
+    edit_json(folder / "intrinsics.json", lambda k: {n: 2 * v for n, v in half.items()})
+    assert len(read_all(pandaset)[1]) == 2
+
+
+def test_a_principal_point_outside_the_image_is_named(pandaset):
+    path = pandaset / "777/camera/front_camera/intrinsics.json"
+    edit_json(path, lambda k: k | {"cx": -300.0})
+    assert f"{path}: camera 'front_camera' has its principal point at (-299.5" in refusal(pandaset)
+
+
+def test_a_scene_far_from_its_origin_is_moved_there(pandaset, pandaset_files, tmp_path):
+    shift = np.array([500_000.25, 4_649_776.5, -1200.75])
+
+    def moved(columns, names):
+        return columns | {
+            name: columns[name] + metres for name, metres in zip(names, shift, strict=True)
+        }
+
+    near, frames = read_all(pandaset)
+    for path in (pandaset / "777").rglob("poses.json"):
+        edit_json(path, lambda poses: [moved_pose(pose, shift) for pose in poses])
+    for frame in (3, 4):
+        sweep = moved(pandaset_files.sweep_columns(), "xyz")
+        boxes = moved(pandaset_files.cuboid_columns(), [f"position.{axis}" for axis in "xyz"])
+        for file, columns in (("lidar", sweep), ("annotations/cuboids", boxes)):
+            path = pandaset / f"777/{file}/{frame:02d}.pkl.gz"
+            pandaset_files.write_gzip(path, pandaset_files.old_pickle(columns))
+    far, others = read_all(pandaset)
+
+    assert near.info.origin == (0, 0, 0)
+    assert far.info.origin == (500_001, 4_649_778, -1198)
+    back = np.array(far.info.origin) - shift
+    np.testing.assert_allclose(far.tracks[["x", "y", "z"]] + back, near.tracks[["x", "y", "z"]])
+    for frame, other in zip(frames, others, strict=True):
+        np.testing.assert_allclose(other.points.xyz + back, frame.points.xyz, atol=1e-6)
+        for name in CAMERAS:
+            centre = other.cameras[name].centre + back
+            np.testing.assert_allclose(centre, frame.cameras[name].centre, atol=1e-6)
+    write_scene(tmp_path / "store", far.info, far.tracks, iter(others))
+    assert Scene(tmp_path / "store").info.origin == far.info.origin
+
+
+def moved_pose(pose: dict, shift: np.ndarray) -> dict:
+    place = {
+        axis: pose["position"][axis] + metres for axis, metres in zip("xyz", shift, strict=True)
+    }
+    return pose | {"position": place}
+
+
+@pytest.mark.parametrize("sensor", ["camera/front_camera", "camera/back_camera"])
+def test_one_pose_that_is_far_off_is_that_sensors_fault(pandaset, sensor):
+    path = pandaset / f"777/{sensor}/poses.json"
+    edit_json(path, lambda poses: [moved_pose(pose, np.array([1e7, 0, 0])) for pose in poses])
+    assert f"{path}: camera '{path.parent.name}' stands more than 10 km" in refusal(pandaset)
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_a_sweep_without_one_of_the_lidars_is_named(pandaset, pandaset_files, sensor):
+    columns = pandaset_files.sweep_columns()
+    columns = {name: cells[columns["d"] != sensor] for name, cells in columns.items()}
+    path = pandaset / "777/lidar/03.pkl.gz"
+    pandaset_files.write_gzip(path, pandaset_files.old_pickle(columns))
+    name = ("Pandar64, which scores", "PandarGT, which may condition")[sensor]
+    assert f"{path} has no points of d = {sensor} ({name}" in refusal(pandaset)
+
+
+def test_what_archives_leave_behind_is_no_camera_and_no_frame(pandaset):
+    (pandaset / "777/camera/__MACOSX/front_camera").mkdir(parents=True)
+    (pandaset / "777/camera/.DS_Store").write_bytes(b"x")
+    for file in ("camera/front_camera/._03.jpg", "lidar/._03.pkl.gz", "lidar/\u00b2\u00b2.pkl.gz"):
+        (pandaset / "777" / file).write_bytes(b"x")
+    record, frames = read_all(pandaset)
+    assert record.info.cameras == CAMERAS
+    assert [frame.frame for frame in frames] == [3, 4]
+
+
+def test_left_and_right_swapped_are_told_by_their_poses(pandaset, tmp_path):
+    folder = pandaset / "777/camera"
+    for old, new in (("left", "x"), ("right", "left"), ("x", "right")):
+        (folder / f"front_{old}_camera").rename(folder / f"front_{new}_camera")
+    record, frames = read_all(pandaset)
+    with pytest.raises(GeoEvsError, match="'front_left_camera' is the left one but looks 45 deg"):
+        write_scene(tmp_path / "store", record.info, record.tracks, iter(frames))
+
+
+def test_too_many_cameras_are_refused_before_they_are_read(pandaset):
+    for number in range(127):
+        folder = pandaset / f"777/camera/c{number}"
+        shutil.copytree(pandaset / "777/camera/back_camera", folder)
+    with pytest.raises(GeoEvsError, match="has 131 cameras; a scene has 1 to 127"):
+        Source(16, 24, folder=str(pandaset)).open(SceneRef("777"))
+
+
+def test_a_range_of_a_billion_frames_ends_at_the_first_that_is_missing(pandaset):
+    assert "05.pkl.gz is missing" in refusal(pandaset, "777@3-999999")
 
 
 def test_a_truncated_image_is_named(pandaset):

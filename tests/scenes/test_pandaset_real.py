@@ -1,8 +1,9 @@
 """PandaSet's real sequence 002; these tests repeat the measurements that docs/pandaset.md names."""
 
 import gzip
+import json
 import os
-from collections.abc import Sequence
+import shutil
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -156,3 +157,49 @@ def edge_strength(
         inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         strength[inside] = gradient[row[inside], column[inside]]
     return strengths[:, np.isfinite(strengths).all(axis=0)]
+
+
+def test_a_frame_far_from_its_origin_has_the_same_pixels(real_folder, tmp_path, pandaset_files):
+    shift = np.array([500_000.0, 4_649_776.0, 220.0])
+    copy = tmp_path / "002"
+    for folder in sorted(path for path in (real_folder / "002").rglob("*") if path.is_dir()):
+        for path in (*folder.glob("62.*"), *folder.glob("*.json")):
+            (copy / folder.relative_to(real_folder / "002")).mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, copy / path.relative_to(real_folder / "002"))
+    for path in copy.rglob("poses.json"):
+        poses = json.loads(path.read_text())
+        for pose in poses:
+            for axis, metres in zip("xyz", shift, strict=True):
+                pose["position"][axis] += metres
+        path.write_text(json.dumps(poses))
+    for file, prefix in (("lidar", ""), ("annotations/cuboids", "position.")):
+        path = copy / f"{file}/62.pkl.gz"
+        table = read_table(path)
+        columns = {
+            name: table[name].to_numpy(object if table[name].dtype.kind not in "bif" else None)
+            for name in table
+        }
+        for axis, metres in zip("xyz", shift, strict=True):
+            columns[prefix + axis] = columns[prefix + axis] + metres
+        pandaset_files.write_gzip(path, pandaset_files.old_pickle(columns))
+
+    def seen(folder):
+        """The record, its coloured points in the world, and the share of a target they fill."""
+        record = Source(128, 192, folder=str(folder)).open(SceneRef("002", 62, 62))
+        frame = colour_frame(next(iter(record.frames)))
+        rig = record.info.rig
+        target = half_way(frame.cameras[rig.front], frame.cameras[rig.front_left], 1.0)
+        scoring = frame.points.select(rig.scores(frame.points))
+        return record, frame.points, zbuffer(scoring.xyz, target).index
+
+    near, points, index = seen(real_folder)
+    far, moved, other = seen(tmp_path)
+    assert near.info.origin == (0, 0, 0)
+    # Rounding to float32 about another origin: 1e-5 m, which moves some points by a pixel.
+    np.testing.assert_allclose(
+        moved.xyz + (np.array(far.info.origin) - shift), points.xyz, rtol=0, atol=3e-5
+    )
+    assert (moved.camera != points.camera).mean() < 1e-4
+    assert (index != other).mean() < 1e-3
+    places = far.tracks[["x", "y", "z"]] + (np.array(far.info.origin) - shift)
+    np.testing.assert_allclose(places, near.tracks[["x", "y", "z"]], rtol=0, atol=1e-8)

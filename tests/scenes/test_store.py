@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, to_uint8, write_json
+from geoevs.core.files import read_json, to_uint8, write_image, write_json
 from geoevs.methods.tiny import tiny_camera, write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera
@@ -180,7 +180,11 @@ def test_cameras_that_a_scene_does_not_declare_are_left_out(tmp_path):
     [
         ("scene.json", "{", "scene.json is not valid JSON"),
         ("scene.json", "[]", "scene.json describes no scene"),
-        ("scene.json", '{"name": "a"}', "scene.json describes no scene ('rig'); remake the store"),
+        (
+            "scene.json",
+            '{"name": "a"}',
+            "scene.json describes no scene ('source'); remake the store",
+        ),
         ("transforms.json", "[]", "transforms.json lists no views"),
         ("transforms.json", '{"frames": []}', "transforms.json has no frames; remake the store"),
         ("transforms.json", '{"frames": [{"frame": 1}]}', "has a view without 'camera' or 'frame'"),
@@ -226,6 +230,111 @@ def test_a_wrong_calibration_names_file_and_camera(tiny, change, sentence):
     found = refusal(lambda: Scene(tiny.folder).camera("front", 0))
     assert found.startswith(f"{path}: ")
     assert sentence in found
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda view: view.update(k1=0.3), "the lens distortion k1 = 0.3; undistort its images"),
+        (lambda view: view.update(p2=-1e-9), "the lens distortion p2 = -1e-09"),
+        (lambda view: view.update(k3="no"), "k3 is 'no', no finite number"),
+        (lambda view: view.update(camera_model="OPENCV_FISHEYE"), "model 'OPENCV_FISHEYE'; undi"),
+        (lambda view: view.update(h=float("nan")), "size that is no whole number"),
+        (lambda view: view.update(w=2**70), "resize its image"),
+        (lambda view: view.update(fl_x=10**400), "fl_x is too large, no finite number"),
+        (lambda view: view.update(frame=-1), "frame -1 is no whole number from 0"),
+        (lambda view: view.update(frame=0.0), "frame 0.0 is no whole number"),
+        (lambda view: view.update(timestamp=None), "the timestamp is None"),
+        (lambda view: view.update(timestamp=-1.0), "count seconds from 0 upwards"),
+        (lambda view: view.pop("file_path"), "camera 'front' in frame 0 lacks 'file_path'"),
+        (lambda view: view.update(file_path="../../x.png"), "'../../x.png' leads out of"),
+        (lambda view: view.update(file_path="/etc/passwd"), "'/etc/passwd' leads out of"),
+        (lambda view: view.update(file_path=["x"]), "is no path"),
+        (lambda view: view.update(file_path="images/front/000009.png"), "09.png is missing; copy"),
+        (lambda view: view.update(file_path="images/left/000000.png"), "another view's image"),
+    ],
+)
+def test_what_a_store_cannot_hold_is_refused_when_it_is_opened(tiny, change, sentence):
+    path = tiny.folder / "transforms.json"
+    edit(path, lambda value: change(value["frames"][0]))
+    found = refusal(lambda: Scene(tiny.folder))
+    assert str(tiny.folder) in found
+    assert sentence in found
+
+
+def test_distortion_that_all_views_share_is_refused(tiny):
+    path = tiny.folder / "transforms.json"
+    edit(path, lambda value: value.update(k2=0.01))
+    assert "the camera of all views has the lens distortion k2 = 0.01" in refusal(
+        lambda: Scene(tiny.folder)
+    )
+
+
+def test_a_view_that_stands_there_twice_is_refused(tiny):
+    path = tiny.folder / "transforms.json"
+    edit(path, lambda value: value["frames"].append(value["frames"][2]))
+    assert "camera 'right' in frame 0 stands there twice" in refusal(lambda: Scene(tiny.folder))
+
+
+def test_frames_are_in_the_order_of_their_time(tiny):
+    def turn_back(value):
+        for view in value["frames"]:
+            view["timestamp"] = 5.0 - view["frame"]
+
+    edit(tiny.folder / "transforms.json", turn_back)
+    assert "frame 1: the timestamp is 4.000000, but the frame before has 5.000000" in refusal(
+        lambda: Scene(tiny.folder)
+    )
+
+
+def test_an_image_of_another_size_than_its_camera_is_refused(tiny):
+    write_image(tiny.folder / "images/left/000001.png", np.zeros((24, 36, 3), np.uint8))
+    assert "000001.png is 24 x 36, but transforms.json says 48 x 72; resize" in refusal(
+        lambda: tiny.image("left", 1)
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"name": "../x"}, "scene '../x' is not an allowed name"),
+        ({"cameras": ["front", "../../x"]}, "camera '../../x' is not an allowed name"),
+        ({"cameras": ["front", "front"]}, "a camera is listed twice"),
+        ({"cameras": []}, "the scene has 0 cameras; a scene has 1 to 127"),
+        ({"cameras": "front"}, "'cameras' is no list"),
+        ({"cameras": [f"c{number}" for number in range(130)]}, "the scene has 130 cameras"),
+        ({"rig": {"front": "front"}}, "describes no scene ('front_left')"),
+        ({"rig": None}, "describes no scene (no Rig)"),
+        ({"licence": 5}, "the licence is no text"),
+        ({"origin": [0, 0]}, "the origin is no list of three metres"),
+        ({"origin": [0, 0, "up"]}, "the origin is 'up', no finite number"),
+        ({"frames": 8}, "describes no scene ('frames')"),
+    ],
+)
+def test_a_description_that_cannot_be_is_refused(tiny, change, sentence):
+    edit(tiny.folder / "scene.json", lambda value: value.update(change))
+    found = refusal(lambda: Scene(tiny.folder))
+    assert found.startswith(str(tiny.folder / "scene.json"))
+    assert sentence in found
+
+
+def test_a_store_without_an_origin_has_none(tiny):
+    edit(tiny.folder / "scene.json", lambda value: value.pop("origin"))
+    assert Scene(tiny.folder).info == tiny.info
+    assert tiny.info.origin == (0.0, 0.0, 0.0)
+
+
+def test_a_world_with_y_up_is_refused_in_these_words(tiny):
+    turn = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # z becomes y
+
+    def turned(value):
+        for view in value["frames"]:
+            view["transform_matrix"] = (turn @ np.array(view["transform_matrix"])).tolist()
+
+    edit(tiny.folder / "transforms.json", turned)
+    found = refusal(lambda: Scene(tiny.folder))
+    assert "frame 0: the world's z is not up, for the cameras' upward axes point along y;" in found
+    assert "nerfstudio" in found
 
 
 def test_unknown_cameras_and_frames_are_named(tiny):

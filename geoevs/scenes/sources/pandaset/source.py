@@ -85,11 +85,13 @@ class Source:
         cameras = _find_cameras(folder)
         frames = _find_frames(folder, cameras, scene)
         sensors = [folder / "lidar", *(folder / "camera" / name for name in cameras)]
+        places = []
         for sensor in sensors:
-            for file in ("poses.json", "timestamps.json"):
-                read_entry(sensor / file, frames[-1])
-        # Not the mean: one sensor whose pose is wrong must not move the others.
-        places = [read_pose(sensor / "poses.json", frames[0])[:3, 3] for sensor in sensors]
+            read_entry(sensor / "poses.json", frames[-1])
+            for frame in frames:
+                read_timestamp(sensor / "timestamps.json", frame)
+            places.append(read_pose(sensor / "poses.json", frames[0])[:3, 3])
+        # Not their mean: one sensor whose pose is wrong must not move the others.
         info = SceneInfo(
             scene.name, "pandaset", LICENCE, RIG, cameras, scene_origin(np.median(places, axis=0))
         )
@@ -163,16 +165,16 @@ def _find_cameras(folder: Path) -> tuple[str, ...]:
     return (*known, *sorted(folders.difference(CAMERA_ORDER)))
 
 
-def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> list[int]:
+def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> Sequence[int]:
     """Numbers of the frames to read, in order, after checking that every file of them is there."""
     files = {folder / "lidar": "pkl.gz"} | {folder / "camera" / name: "jpg" for name in cameras}
     numbers = {sensor: _frame_numbers(sensor, suffix) for sensor, suffix in files.items()}
     on_disk = set().union(*numbers.values())
     if not on_disk:
         raise GeoEvsError(f"{folder} has no LiDAR sweeps and no images; download the sequence")
-    frames = sorted(on_disk)
+    frames: Sequence[int] = sorted(on_disk)
     if scene.first is not None and scene.last is not None:
-        frames = list(range(scene.first, scene.last + 1))
+        frames = range(scene.first, scene.last + 1)
     for frame in frames:
         for sensor, suffix in files.items():
             if frame not in numbers[sensor]:
