@@ -78,10 +78,10 @@ def read_parquet(
             type, or lacks a text or a whole number. Numbers that are not whole may be NaN.
     """
     path, columns = Path(path), list(types if columns is None else columns)
-    if path.exists() and not path.is_file():
-        raise GeoEvsError(f"{path} is not whole (it is no file); delete it and make it again")
     texts = [name for name in columns if types[name] == "string"]
     with whole_file(path):
+        if not path.is_file() and path.exists():
+            raise OSError("it is no file")  # and reading a pipe would never end
         file = pq.ParquetFile(path, read_dictionary=texts)
         schema, count = file.schema_arrow, file.metadata.num_rows
         most, for_a_byte = MOST_ROWS
