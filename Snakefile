@@ -1,9 +1,17 @@
 # Geo-EVS: the whole protocol as one DAG. `snakemake --cores 2 tables` makes every table.
-from geoevs.config.files import check_syntax
+from pathlib import Path
+
+from geoevs.config.files import read_nodes
+from geoevs.core.errors import GeoEvsError
+from snakemake.exceptions import WorkflowError
 from snakemake.utils import min_version
 
 min_version("9.27")
-check_syntax("config.yaml")
+if Path("config.yaml").exists():
+    try:
+        read_nodes("config.yaml")
+    except GeoEvsError as mistake:
+        raise WorkflowError(str(mistake)) from None
 
 
 configfile: "config.yaml"
@@ -41,6 +49,7 @@ rule all:
 
 
 onstart:
+    lock_run()
     # No cluster's queue needs sparing, and the rate limiter of Snakemake 9.27 wakes the scheduler
     # once more a second for every job done: a third of a core after 300, beside fits that are timed.
     workflow.scheduler.job_rate_limiter = None

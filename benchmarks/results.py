@@ -20,6 +20,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from geoevs.core.parquet import write_parquet
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import SCORE_TYPES, cost_frame
 
@@ -120,7 +121,7 @@ def write_rows(count: int, parts: Path, costs: Path) -> None:
     """Score rows as jobs leave them, one file a method, and cost rows."""
     parts.mkdir()
     for method, rows in score_rows(count).groupby("method"):
-        rows.to_parquet(parts / f"{method}.parquet", index=False)
+        write_parquet(parts / f"{method}.parquet", rows)
     cost_rows().to_parquet(costs, index=False)
 
 

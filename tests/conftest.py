@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from geoevs.protocol.isolate import THREAD_VARIABLES
+from geoevs.core.isolate import THREAD_VARIABLES
 
 TESTS = Path(__file__).parent
 
@@ -21,11 +21,13 @@ SLOW = (
     "baselines/gaussians/test_training.py",
     "baselines/street_gaussians/test_adapter.py",
     "baselines/three_dgs/test_adapter.py",
+    "config/test_snakemake.py",
     "generator/test_task.py",
     "geometry/test_depth_loss.py",
     "geometry/test_finetuning.py",
     "geometry/test_refinement.py",
     "methods/test_training.py",
+    "protocol/test_misbehaving.py",
     "protocol/test_runs.py",
     "results/report/test_browser.py",
     "scenes/test_street.py",
@@ -36,6 +38,8 @@ which train, fit or render."""
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
+# New examples each time, and many: `pytest --hypothesis-profile long tests/config/test_fuzz.py`.
+settings.register_profile("long", max_examples=8000, deadline=None)
 settings.load_profile("repeatable")
 
 

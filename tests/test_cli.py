@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from geoevs.cli import main as cli
+from geoevs.core.parquet import write_parquet
 from geoevs.methods.tiny import write_tiny_scene
 
 
@@ -87,8 +88,7 @@ def test_failures_are_those_of_the_run_and_of_its_stability_suite(geoevs, tmp_pa
 def test_the_log_keeps_the_traceback(geoevs, tmp_path):
     log = tmp_path / "logs" / "a.log"
     _, _, errors = geoevs("--log", log, "failures", tmp_path)
-    # A folder is no Parquet file.
-    assert errors.startswith(f"error: {tmp_path} is not whole (")
+    assert errors.startswith(f"error: {tmp_path} is a folder, not a file")
     assert errors.count("\n") == 1
     assert log.read_text().startswith(f"{errors}\nTraceback")
 
@@ -219,11 +219,11 @@ def test_rows_of_many_jobs_become_one_file(geoevs, tmp_path):
     frames = [frame.astype({"a": "string", "b": "int64"}) for frame in frames]
     parts = [tmp_path / f"{number}.parquet" for number in range(3)]
     for part, frame in zip(parts, frames, strict=True):
-        frame.to_parquet(part, index=False)
+        write_parquet(part, frame)
     assert geoevs("collect", *parts, "--out", tmp_path / "all.parquet") == (0, "", "")
     found = pd.read_parquet(tmp_path / "all.parquet")
     pd.testing.assert_frame_equal(found, pd.concat(frames, ignore_index=True))
-    frames[0].drop(columns="b").to_parquet(parts[2], index=False)
+    write_parquet(parts[2], frames[0].drop(columns="b"))
     code, _, errors = geoevs("collect", *parts, "--out", tmp_path / "all.parquet")
     assert code == 1
     assert errors == (

@@ -10,7 +10,7 @@ import numpy as np
 from geoevs.core.files import read_json, write_json
 from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
-from geoevs.core.settings import AtLeast, Count, Positive, Within, check_fields
+from geoevs.core.settings import AtLeast, AtMost, Count, Positive, Within, check_fields
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
@@ -50,7 +50,9 @@ class Method:
     iterations: Count | None = None
     rays: Count = 1024
     learning_rate: Positive = 0.01
-    levels: Annotated[int, AtLeast(4)] = 8  # the other fields' grids have a half of it or less
+    levels: Annotated[int, AtLeast(4), AtMost(32)] = (
+        8  # the other fields' grids have a half of it or less
+    )
     log2_entries: Annotated[int, Within(1, 30)] = 17
     width: Count = 32
     samples: tuple[Count, Count, Count] = (32, 16, 16)

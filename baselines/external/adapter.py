@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, read_json, write_json
+from geoevs.core.names import check_name, expanded
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera, view_key
@@ -30,7 +31,7 @@ class Method:
         Raises:
             GeoEvsError: there is no such folder.
         """
-        images = Path(self.folder).expanduser() / views.scene_name
+        images = expanded(self.folder) / views.scene_name
         if not images.is_dir():
             raise GeoEvsError(
                 f"{images} is missing; put the images of scene '{views.scene_name}' there as "
@@ -43,9 +44,11 @@ class Method:
         """Read the image of that target.
 
         Raises:
-            GeoEvsError: it is missing, no image, or of another size.
+            GeoEvsError: it is missing, no image, or of another size; or the target's name could
+                lead out of the folder.
         """
-        folder = Path(self.folder).expanduser() / self.scene
+        check_name(camera.name, "target", "the views to render")
+        folder = expanded(self.folder) / self.scene
         path = folder / f"{view_key(camera.name, frame)}.png"
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
@@ -57,13 +60,21 @@ class Method:
 
     def save(self, folder: Path) -> None:
         """Write where the images lie; they are not copied."""
-        place = {"folder": str(Path(self.folder).expanduser().resolve()), "scene": self.scene}
+        place = {"folder": str(expanded(self.folder).resolve()), "scene": self.scene}
         write_json(folder / "external.json", place)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Restore the method from the folder that `save` filled; the images stay where they lie."""
-        place = read_json(folder / "external.json")
+        """Restore the method from the folder that `save` filled; the images stay where they lie.
+
+        Raises:
+            GeoEvsError: what `save` wrote is missing or was changed.
+        """
+        path = folder / "external.json"
+        place = read_json(path)
+        texts = isinstance(place, dict) and isinstance(place.get("folder"), str)
+        if not texts or "\0" in place["folder"]:
+            raise GeoEvsError(f"{path} names no folder of images; fit the method again")
         method = cls(place["folder"])
-        method.scene = place["scene"]
+        method.scene = check_name(place.get("scene"), "scene", path)
         return method

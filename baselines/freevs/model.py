@@ -16,6 +16,7 @@ from baselines.freevs.encoder import PseudoImageEncoder, filled_latents
 from baselines.freevs.sampling import Sampling
 from geoevs.core.networks import (
     best_device,
+    built_as_described,
     load_weights,
     mixed_precision,
     read_network,
@@ -26,6 +27,7 @@ from geoevs.diffusion.prior import AUTOENCODER_FILE, load_autoencoder, save_auto
 from geoevs.diffusion.process import Diffusion, guided
 
 DENOISER_FILE = "denoiser.safetensors"
+REMAKE = "make it again with `geoevs train freevs`"
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class ClipGenerator:
         device, path = best_device(), folder / DENOISER_FILE
         autoencoder = load_autoencoder(folder / AUTOENCODER_FILE)
         settings, weights = read_network(path)
-        with torch.device("meta"):  # random weights would be made in vain
+        with built_as_described(path, REMAKE):
             denoiser = ClipDenoiser(
                 UNet2DConditionModel.from_config(settings["unet"]),
                 PseudoImageEncoder(
@@ -101,7 +103,7 @@ class ClipGenerator:
                 settings["frames"],
                 settings["spread"],
             )
-        load_weights(denoiser, weights, path, "make it again with `geoevs train freevs`")
+        load_weights(denoiser, weights, path, REMAKE)
         return cls(autoencoder.to(device), denoiser.eval().to(device))
 
 

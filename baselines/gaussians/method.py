@@ -12,7 +12,7 @@ from baselines.gaussians.options import FEWEST, Densification
 from geoevs.core.files import read_arrays, write_arrays
 from geoevs.core.progress import training_bar
 from geoevs.core.randomness import Rng
-from geoevs.core.settings import AtLeast, Count, check_fields
+from geoevs.core.settings import AtLeast, AtMost, Count, check_fields
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
 
@@ -48,7 +48,7 @@ class GaussianMethod:
 
     info: ClassVar[MethodInfo]
     iterations: Count | None = None
-    gaussians: Annotated[int, AtLeast(FEWEST)] | None = None
+    gaussians: Annotated[int, AtLeast(FEWEST), AtMost(10**8)] | None = None
     densification: Densification = "mcmc"
     sfm_cache: str | None = None
     _graph: "SceneGraph" = field(init=False)

@@ -24,6 +24,12 @@ Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
 SetScores = Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")]
 TablesSection = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
 EntrantsFile = Annotated[Path, typer.Option(help="What `geoevs entrants` wrote: who plays.")]
+Limit = Annotated[
+    float | None, typer.Option(min=0, help="Seconds after which a step is ended; none: never.")
+]
+Attempt = Annotated[
+    int, typer.Option(min=0, help="Which attempt this is; faults of the machine have a second.")
+]
 Work = Annotated[
     Path, typer.Option(help="The training's state, losses and previews; a killed one goes on.")
 ]

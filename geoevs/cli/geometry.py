@@ -99,7 +99,7 @@ def score_geometry(
     ] = None,
 ) -> None:
     """Score the depth of a scene's recorded views: one row a view, stage, scale and metric."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.geometry.depth_models import make_depth_model
     from geoevs.protocol.depth_scoring import (
         CONTROL,
@@ -121,4 +121,4 @@ def score_geometry(
     common = {"dataset": dataset, "scene": scene_name}
     with progress_bar(f"depth of {scene_name}", total) as advance:
         rows = depth_scores(store, depths, candidates, common, advance)
-    write_bytes(out, rows.to_parquet(index=False))
+    write_parquet(out, rows)

@@ -7,8 +7,10 @@ import typer
 
 from geoevs import layout
 from geoevs.cli.arguments import (
+    Attempt,
     Dataset,
     EntrantsFile,
+    Limit,
     Out,
     Run,
     SceneFolder,
@@ -54,11 +56,13 @@ def stress(
 
 def stability_targets(scene: SceneFolder, settings: Settings, out: Out) -> None:
     """List the views that stability is tested on."""
+    from geoevs.protocol.provenance import targets_stamp
     from geoevs.protocol.stability import stability_targets as make_targets
     from geoevs.protocol.targets import write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), parse_json("--settings", settings)))
+    asked, store = parse_json("--settings", settings), Scene(scene)
+    write_targets(out, make_targets(store, asked), targets_stamp(store, asked, 0))
 
 
 def stability_render(
@@ -73,6 +77,9 @@ def stability_render(
     options: Annotated[str, typer.Option(help="The method's own, as a JSON object.")] = "{}",
     variant: str = "default",
     seed: Seed = 0,
+    fit_limit: Limit = None,
+    render_limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit and render a method under all stresses of a group; failures are written down."""
     from geoevs.protocol.entries import MethodEntry
@@ -80,7 +87,8 @@ def stability_render(
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
     given = zip(stresses(group, parse_json("--settings", settings)), scenes, strict=True)
-    render_stresses(entry, list(given), targets, masks, out, method_log)
+    limits = {"fit": fit_limit, "render": render_limit}
+    render_stresses(entry, list(given), targets, masks, out, method_log, limits, attempt)
 
 
 def stability_score(
@@ -93,14 +101,17 @@ def stability_score(
     out: Out,
     variant: str = "default",
     seed: Seed = 0,
+    run_seed: Annotated[int, typer.Option(min=0, help="The config's seed.")] = 0,
 ) -> None:
     """Score what a method rendered under all stresses of a group."""
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.provenance import check_answers
     from geoevs.protocol.stability_scoring import score_stresses
     from geoevs.run import Answers
 
     entry, clean = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    check_answers(clean, run_seed)
     write_parquet(out, score_stresses(entry, group, clean, parse_json("--settings", settings)))
 
 

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Dataset, Out, Run, SceneFolder, SceneInRun, parse_json
+from geoevs.cli.arguments import (
+    Attempt,
+    Dataset,
+    Limit,
+    Out,
+    Run,
+    SceneFolder,
+    SceneInRun,
+    parse_json,
+)
 from geoevs.core.progress import progress_bar
 
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
@@ -42,15 +51,18 @@ def scene(
     out: Out,
     depths: Annotated[Path, typer.Option(help="Where dense true depth goes, if known.")],
     options: Options = "{}",
+    data: Annotated[str, typer.Option(help="Hash of the files that it is read from.")] = "none",
 ) -> None:
     """Read or render a scene into a scene store, its LiDAR coloured by its cameras."""
     from geoevs.projection.coloured_scenes import write_coloured_scene
+    from geoevs.protocol.provenance import scene_stamp
     from geoevs.scenes.scene import SceneRef, load_source
 
-    data = load_source(source, height, width, parse_json("--options", options))
-    record = data.open(SceneRef.parse(name))
+    settings = parse_json("--options", options)
+    record = load_source(source, height, width, settings).open(SceneRef.parse(name))
+    made_with = scene_stamp(source, name, (height, width), settings, data)
     with progress_bar(f"scene {name}", record.frame_count) as advance:
-        write_coloured_scene(out, depths, record, advance)
+        write_coloured_scene(out, depths, record, advance, made_with)
 
 
 def targets(
@@ -60,10 +72,13 @@ def targets(
     seed: Seed = 0,
 ) -> None:
     """List the views to synthesise: observed, interpolation, extrapolation, sweep and masked."""
+    from geoevs.protocol.provenance import targets_stamp
     from geoevs.protocol.targets import make_targets, write_targets
     from geoevs.scenes.store import Scene
 
-    write_targets(out, make_targets(Scene(scene), parse_json("--protocol", protocol), seed))
+    settings, store = parse_json("--protocol", protocol), Scene(scene)
+    made_with = targets_stamp(store, settings, seed)
+    write_targets(out, make_targets(store, settings, seed), made_with)
 
 
 def truth(
@@ -97,11 +112,14 @@ def references(
 
     The masks that degrade the conditions of masked targets come with it, in a file of their own.
     """
+    from geoevs.protocol.provenance import references_stamp
     from geoevs.protocol.reference import write_references
     from geoevs.protocol.targets import read_targets
     from geoevs.scenes.store import Scene
 
-    write_references(out, masks, Scene(scene), read_targets(targets), seed)
+    store = Scene(scene)
+    made_with = references_stamp(store, targets, seed)
+    write_references(out, masks, store, read_targets(targets), seed, made_with)
 
 
 def fit(
@@ -114,7 +132,9 @@ def fit(
     options: Options = "{}",
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(min=1)] = 1,
-    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it may take.")] = None,
+    fit_seconds: Annotated[float | None, typer.Option(help="Wall time it should take.")] = None,
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Fit a method to a scene; a failure is written down, not raised."""
     from geoevs.methods.contract import Budget
@@ -122,7 +142,8 @@ def fit(
     from geoevs.protocol.runs import fit_method
 
     entry = MethodEntry(method, variant, parse_json("--options", options), seed)
-    fit_method(entry, scene, targets, Budget(fit_seconds, threads), out, method_log)
+    budget = Budget(fit_seconds, threads)
+    fit_method(entry, scene, targets, budget, out, method_log, limit, attempt)
 
 
 def render(
@@ -135,13 +156,16 @@ def render(
     run: OfOracles = "",
     dataset: OfOracles = "",
     scene: OfOracles = "",
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.runs import render_method
 
     answers = {"run": run, "dataset": dataset, "scene": scene}
-    render_method(MethodEntry(method), model, targets, masks, out, method_log, answers)
+    entry = MethodEntry(method)
+    render_method(entry, model, targets, masks, out, method_log, answers, limit, attempt)
 
 
 def score(
@@ -154,20 +178,23 @@ def score(
     costs: Annotated[Path, typer.Option(help="Where the cost rows go.")],
     variant: str = "default",
     seed: Seed = 0,
+    run_seed: Annotated[int, typer.Option(min=0, help="The config's seed.")] = 0,
 ) -> None:
     """Score a method's renders of a scene: one row a target and metric."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.provenance import check_answers
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
     from geoevs.protocol.scoring import cost_rows, score_method
     from geoevs.run import Answers
 
     settings = parse_json("--protocol", protocol)
     entry, answers = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
+    check_answers(answers, run_seed, settings)
     fingerprint = protocol_fingerprint(answers.scene, settings)
     rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
-    write_bytes(out, score_frame(rows).to_parquet(index=False))
-    write_bytes(costs, cost_frame(cost_rows(entry, answers)).to_parquet(index=False))
+    write_parquet(out, score_frame(rows))
+    write_parquet(costs, cost_frame(cost_rows(entry, answers)))
 
 
 def score_sets(
@@ -181,13 +208,13 @@ def score_sets(
     seed: Seed = 0,
 ) -> None:
     """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
-    from geoevs.core.files import write_bytes
+    from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
     from geoevs.protocol.set_scoring import score_sets as score
     from geoevs.protocol.set_scoring import set_frame
 
     rows = score(MethodEntry(method, variant, {}, seed), run, dataset, scenes, confidence)
-    write_bytes(out, set_frame(rows).to_parquet(index=False))
+    write_parquet(out, set_frame(rows))
 
 
 def export(

@@ -5,7 +5,17 @@ from typing import Annotated
 
 import typer
 
-from geoevs.cli.arguments import Out, Run, SceneFolder, Seed, Work, parse_json, scene_pairs
+from geoevs.cli.arguments import (
+    Attempt,
+    Limit,
+    Out,
+    Run,
+    SceneFolder,
+    Seed,
+    Work,
+    parse_json,
+    scene_pairs,
+)
 
 Method = Annotated[str, typer.Argument(help="The name of a method that trains.")]
 
@@ -26,24 +36,29 @@ def prepare(
     mask_poses: Annotated[
         str, typer.Option(help="The config's conditions.masks section, as JSON.")
     ] = "{}",
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Make what a method's training learns from one scene."""
     from geoevs.methods.training import Inputs
     from geoevs.methods.training_steps import prepare_scene
 
     poses = parse_json("--mask-poses", mask_poses)
-    prepare_scene(method, scene, Inputs(point_maps=point_maps, mask_poses=poses), out)
+    inputs = Inputs(point_maps=point_maps, mask_poses=poses)
+    prepare_scene(method, scene, inputs, out, limit, attempt)
 
 
 def combine(
     method: Method,
     out: Out,
     files: Annotated[list[Path] | None, typer.Argument(help="What `geoevs prepare` wrote.")] = None,
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Make one file of what was prepared of all scenes, such as the artifact-mask library."""
     from geoevs.methods.training_steps import combine_files
 
-    combine_files(method, files or [], out)
+    combine_files(method, files or [], out, limit, attempt)
 
 
 def train(
@@ -63,6 +78,8 @@ def train(
         Path | None, typer.Option(help="The folder of this suite's pretrained weights.")
     ] = None,
     seed: Seed = 0,
+    limit: Limit = None,
+    attempt: Attempt = 0,
 ) -> None:
     """Train a method's networks.
 
@@ -76,7 +93,7 @@ def train(
         combined=combined, geometry=geometry, geometry_weights=geometry_weights, weights=weights
     )
     values = parse_json("--settings", settings)
-    train_method(method, values, files or [], inputs, seed, work, out)
+    train_method(method, values, files or [], inputs, seed, work, out, limit, attempt)
 
 
 def mask_figure(

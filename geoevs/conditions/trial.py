@@ -7,7 +7,7 @@ from typing import Any
 import geoevs
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.point_maps import write_point_maps
-from geoevs.methods.check import Check, check_adapter
+from geoevs.methods.check import Check, check_isolated
 from geoevs.methods.check_training import check_imports_no_torch, check_training
 from geoevs.methods.finding import check_free_name, find_methods, find_trainings
 from geoevs.methods.training import Inputs
@@ -30,13 +30,13 @@ def check_method(name: str, options: dict[str, Any], settings: dict[str, Any]) -
     check_free_name(name)
     checks = [check_imports_no_torch(name)] if name in find_methods() else []
     if name not in find_trainings() or "weights" in options:
-        return checks + check_adapter(name, options)
+        return checks + check_isolated(name, options)
     with tempfile.TemporaryDirectory() as temporary:
         weights = Path(temporary) / "weights"
         checks += check_training(name, settings, trial_inputs, weights)
         if not weights.exists():
             return checks
-        return checks + check_adapter(name, options | {"weights": str(weights)})
+        return checks + check_isolated(name, options | {"weights": str(weights)})
 
 
 def trial_inputs(scene: Scene, folder: Path) -> Inputs:

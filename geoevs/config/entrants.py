@@ -5,17 +5,19 @@ from dataclasses import replace
 from typing import Any
 
 from geoevs.config.trainings import training_of
+from geoevs.methods.finding import find_trainings
 from geoevs.protocol.entries import MethodEntry
 
 
 def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
     """The run's entrants, one for every method, variant and seed."""
+    trainers = find_trainings()
     return [
         MethodEntry.parse(
             name,
             settings.get("options", {}),
             config["seed"] + seed,
-            training_of(name.partition(".")[0], settings.get("training", "")),
+            training_of(name.partition(".")[0], settings.get("training", ""), trainers),
         )
         for name, settings in config["methods"].items()
         if settings is not None

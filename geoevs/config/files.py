@@ -1,135 +1,260 @@
-"""The files that a run's config comes from: their syntax, and where in them a mistake stands."""
+"""Reading a run's config files as YAML nodes: their syntax, their size, and what YAML misreads.
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+Snakemake reads the same files by itself, and says of a mistake neither the file nor the line. So
+they are read here first: by the profile before Snakemake's own files (`check_command_line`), and by
+the Snakefile.
+"""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import yaml
-from jsonschema import ValidationError
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.settings import SettingError
+from geoevs.core.text import clean
 
-Key = tuple[str | int, ...]
+MOST_BYTES = 50_000
+"""Of a config file: six times the default config. More is slow: Snakemake reads it twice again."""
 
-TEXT_KEYS = ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge")
-"""What YAML takes keys for: text, or `<<`."""
+DEEPEST = 30
+"""Sections and lists within one another; the default config has five."""
+
+MOST_VALUES = 50_000
+"""Of a config file, where an alias counts as all that it stands for."""
+
+KIND = "tag:yaml.org,2002:"
+"""Before the name of what YAML takes a value for, such as `int`."""
+
+MERGE = f"{KIND}merge"
+"""What YAML takes the key `<<` for."""
+
+DECIMAL = re.compile(r"[-+]?(0|[1-9][0-9_]*)")
+"""Whole numbers that everybody reads alike; YAML 1.1 has others."""
 
 
-def check_syntax(path: str | Path) -> None:
-    """Check that a config file, where there is one, is YAML; Snakemake would not say what is not.
+def check_command_line(arguments: Sequence[str] | None = None) -> None:
+    """End the process with one sentence if a file behind `--configfile` cannot be read.
+
+    Args:
+        arguments: of the process; None takes those of this one.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--configfile", "--configfiles", nargs="+", default=[])
+    parser.add_argument("--config", "-C", nargs="*")
+    try:
+        files = parser.parse_known_args(arguments)[0].configfile
+    except argparse.ArgumentError:
+        return  # Snakemake says so itself
+    try:
+        for file in files:
+            read_nodes(file)
+    except GeoEvsError as mistake:
+        sys.exit(str(mistake))
+
+
+def read_nodes(path: str | Path) -> yaml.MappingNode:
+    """The sections of a config file, after checking that nothing in it is misread.
 
     Raises:
-        GeoEvsError: it is not; the sentence names the line.
+        GeoEvsError: there is no such file; it is no UTF-8, no YAML, too large, too deep, empty or a
+            list; a key stands twice or is no text; an anchor stands within itself; a tag; a value
+            that YAML 1.1 takes for another than it looks like, such as `010`. The sentence names
+            the line.
     """
     path = Path(path)
-    if not path.exists():
-        return
+    text = _read_text(path)
     try:
-        yaml.compose(path.read_text(encoding="utf-8"))
+        _check_events(path, yaml.parse(text))
+        root = yaml.compose(text)
     except yaml.MarkedYAMLError as mistake:
-        line = mistake.problem_mark.line + 1
+        raise _not_yaml(path, text, mistake) from None
+    except yaml.reader.ReaderError as mistake:
+        line = text.count("\n", 0, mistake.position) + 1
         raise GeoEvsError(
-            f"{path}:{line}: this is not YAML ({mistake.problem}); check brackets, quotes and "
-            "indentation above it"
+            f"{path}:{line}: the character U+{mistake.character:04X} cannot stand in YAML; remove "
+            "it, or save the file as plain text"
         ) from None
-    except (ValueError, yaml.YAMLError) as error:  # of its characters
-        reason = " ".join(str(error).split())
-        raise GeoEvsError(f"{path} is not plain UTF-8 text ({reason}); save it as such") from None
+    except (ValueError, OverflowError) as error:  # such as an escape beyond Unicode
+        raise GeoEvsError(f"{path} is not YAML ({clean(str(error))}); mend it") from None
+    if root is None:
+        raise GeoEvsError(f"{path} holds no settings; write some as NAME: VALUE, or leave it out")
+    if not isinstance(root, yaml.MappingNode):
+        raise GeoEvsError(
+            f"{path}:{_line(root)}: a config holds settings as NAME: VALUE, and this is "
+            f"{'a list' if isinstance(root, yaml.SequenceNode) else 'a single value'}; write it "
+            "under a name"
+        )
+    _Checker(path).measure(root)
+    return root
 
 
-def check_repeats(path: str | Path) -> None:
-    """Check that no key of a config file stands twice; YAML would take the last without a word.
-
-    Raises:
-        GeoEvsError: one does (the sentence names both lines), or is no text, such as `on`.
-    """
-    nodes = [yaml.compose(Path(path).read_text(encoding="utf-8"))]
-    while nodes:
-        node = nodes.pop()
-        if isinstance(node, yaml.SequenceNode):
-            nodes.extend(node.value)
-        elif isinstance(node, yaml.MappingNode):
-            lines: dict[str, int] = {}
-            for name, value in node.value:
-                line = name.start_mark.line + 1
-                if name.tag not in TEXT_KEYS:
-                    raise GeoEvsError(
-                        f"{path}:{line}: YAML does not read the key '{name.value}' as text; write "
-                        "it in quotes"
-                    )
-                if name.value in lines:
-                    raise GeoEvsError(
-                        f"{path}:{line}: '{name.value}' stands in line {lines[name.value]} already;"
-                        " remove one"
-                    )
-                lines[name.value] = line
-                nodes.append(value)
-
-
-def explain(mistake: ValidationError) -> tuple[Key, str]:
-    """The key at fault in a schema's complaint, and a sentence on what is wrong with it."""
-    key: Key = tuple(mistake.absolute_path)
-    if mistake.validator == "additionalProperties":
-        allowed = mistake.schema.get("properties", {})
-        unknown = str(next(name for name in mistake.instance if name not in allowed))
-        return (*key, unknown), f"'{unknown}' is not a known key; {did_you_mean(unknown, allowed)}"
-    if mistake.validator == "required":
-        missing = next(name for name in mistake.validator_value if name not in mistake.instance)
-        where = f"under '{_dotted(key)}'" if key else "at the top level"
-        return key, f"the key '{missing}' is missing {where}; add it"
-    if mistake.validator == "pattern":
-        if "propertyNames" in mistake.absolute_schema_path:
-            key = (*key, mistake.instance)
-        return key, f"'{mistake.instance}' is not an allowed name; use lower case and hyphens"
-    purpose = mistake.schema.get("description", "").removesuffix(".")
-    meaning = f" (it means: {purpose})" if purpose else ""
-    return key, f"'{_dotted(key)}' is wrong: {mistake.message}{meaning}"
-
-
-def _dotted(key: Key) -> str:
-    return ".".join(map(str, key))
-
-
-def locate(key: Key, files: Sequence[Path]) -> str:
-    """`FILE:LINE` of a key in the last file that sets it, else that file's name alone."""
-    for path in reversed(files):
-        node = yaml.compose(Path(path).read_text(encoding="utf-8"))
-        line = None
-        for part in key:
-            if isinstance(node, yaml.MappingNode):
-                pairs = {name.value: (name, value) for name, value in node.value}
-                if str(part) not in pairs:
-                    break
-                name, node = pairs[str(part)]
-                line = name.start_mark.line + 1
-            elif isinstance(node, yaml.SequenceNode) and part < len(node.value):
-                node = node.value[part]
-            else:
-                break
-        else:
-            if line is not None:
-                return f"{path}:{line}"
-    return str(files[0]) if files else "config"
-
-
-@contextmanager
-def located(key: Key, files: Sequence[Path]) -> Iterator[None]:
-    """Put the place of `key` before the sentence of a mistake found in the block.
-
-    A mistake in a setting stands below that key (see SettingError).
-    """
+def _read_text(path: Path) -> str:
+    """The text of a regular file of a sane size; JSON, which may have tabs, without them."""
+    if path.is_dir():
+        raise GeoEvsError(f"{path} is a folder; name a config file in it")
+    if not path.exists():
+        near = sorted(file.name for file in path.parent.glob("*.yaml"))[:20]
+        hint = did_you_mean(path.name, near) if near else "there is no config in its folder"
+        raise GeoEvsError(f"there is no config file {path}; {hint}; targets stand behind `--`")
+    if not path.is_file():
+        raise GeoEvsError(f"{path} is no regular file; write its text to one")
     try:
-        yield
-    except GeoEvsError as mistake:
-        inner = mistake.key if isinstance(mistake, SettingError) else ()
-        raise GeoEvsError(f"{_nearest((*key, *inner), files)}: {mistake}") from mistake
+        if path.stat().st_size > MOST_BYTES:
+            raise GeoEvsError(
+                f"{path} has {path.stat().st_size:,} bytes; a config has {MOST_BYTES:,} at most, "
+                "so name scenes as ranges, such as curve-1..40"
+            )
+        text = path.read_bytes().decode()
+    except OSError as error:
+        raise GeoEvsError(f"{path} cannot be read ({error.strerror}); make it readable") from None
+    except UnicodeDecodeError:
+        raise GeoEvsError(f"{path} is not UTF-8 text; save it as UTF-8") from None
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return text.replace("\t", " ")
 
 
-def _nearest(key: Key, files: Sequence[Path]) -> str:
-    """The place of a key, or of the section that it is missing from."""
-    for length in range(len(key), 0, -1):
-        place = locate(key[:length], files)
-        if ":" in place:
-            return place
-    return locate(key, files)
+def _not_yaml(path: Path, text: str, mistake: yaml.MarkedYAMLError) -> GeoEvsError:
+    mark = mistake.problem_mark or mistake.context_mark
+    line = mark.line + 1 if mark else 1
+    found = text.split("\n")[line - 1 : line]
+    advice = "check brackets, quotes and indentation above it"
+    if any("\t" in part for part in found):
+        advice = "indent with spaces in place of tabs"
+    problem = clean(mistake.problem or mistake.context or "unreadable", 100)
+    return GeoEvsError(f"{path}:{line}: this is not YAML ({problem}); {advice}")
+
+
+def _check_events(path: Path, events: Iterator[yaml.Event]) -> None:
+    """Look for depth and tags as YAML is read: making nodes of brackets without end would fail."""
+    depth = 0
+    for event in events:
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        where = f"{path}:{event.start_mark.line + 1}"
+        if depth > DEEPEST:
+            raise GeoEvsError(
+                f"{where}: sections and lists lie {depth} deep here; {DEEPEST} are allowed, so "
+                "close some before"
+            )
+        if getattr(event, "tag", None) is not None:
+            raise GeoEvsError(
+                f"{where}: tags such as '{clean(event.tag, 40)}' are not allowed; write the value "
+                "without, text in quotes"
+            )
+
+
+def _line(node: yaml.Node) -> int:
+    return node.start_mark.line + 1
+
+
+class _Checker:
+    """Visits every node of a file once, however many aliases stand for it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._measured: dict[yaml.Node, tuple[int, int]] = {}
+        self._open: set[yaml.Node] = set()
+
+    def _refuse(self, node: yaml.Node, sentence: str) -> GeoEvsError:
+        return GeoEvsError(f"{self._path}:{_line(node)}: {sentence}")
+
+    def measure(self, node: yaml.Node) -> tuple[int, int]:
+        """How many values a node stands for, and how deep they lie; all are checked."""
+        if node in self._measured:
+            return self._measured[node]
+        if node in self._open:
+            raise self._refuse(node, "this anchor stands within itself; write out what is meant")
+        self._open.add(node)
+        sizes = [self.measure(child) for child in self._children(node)]
+        values = 1 + sum(size for size, _ in sizes)
+        depth = 1 + max((depth for _, depth in sizes), default=0)
+        if values > MOST_VALUES or depth > 2 * DEEPEST:
+            raise self._refuse(
+                node,
+                f"aliases make this {values:,} values, {depth} deep; {MOST_VALUES:,} and "
+                f"{2 * DEEPEST} are allowed, so use fewer",
+            )
+        self._open.remove(node)
+        self._measured[node] = values, depth
+        return values, depth
+
+    def _children(self, node: yaml.Node) -> list[yaml.Node]:
+        if isinstance(node, yaml.ScalarNode):
+            if sentence := misread(node):
+                raise self._refuse(node, sentence)
+            return []
+        if isinstance(node, yaml.SequenceNode):
+            return list(node.value)
+        lines: dict[str, int] = {}
+        for name, value in node.value:
+            self._check_key(name, value, lines)
+            lines[name.value] = _line(name)
+        return [value for _, value in node.value]
+
+    def _check_key(self, name: yaml.Node, value: yaml.Node, lines: dict[str, int]) -> None:
+        if not isinstance(name, yaml.ScalarNode):
+            raise self._refuse(name, "a list or section cannot be a key; write text before the ':'")
+        shown = clean(name.value, 60)
+        if name.tag not in (f"{KIND}str", MERGE):
+            raise self._refuse(
+                name, f"YAML does not read the key '{shown}' as text; write it in quotes"
+            )
+        if name.value in lines:
+            raise self._refuse(
+                name, f"'{shown}' stands in line {lines[name.value]} already; remove one"
+            )
+        if name.value == "__use_yte__":
+            raise self._refuse(name, "a config holds values, no code; remove '__use_yte__'")
+        if name.tag == MERGE:
+            merged = value.value if isinstance(value, yaml.SequenceNode) else [value]
+            if not all(isinstance(each, yaml.MappingNode) for each in merged):
+                raise self._refuse(name, "'<<' takes a section, or a list of some; name one by *")
+
+
+def misread(node: yaml.ScalarNode) -> str:
+    """What to write in place of a value that YAML 1.1 takes for another than it looks like.
+
+    Nothing for one that everybody reads alike, or that stands in quotes.
+    """
+    if node.style is not None or not node.tag.startswith(KIND):
+        return ""
+    text, kind = clean(node.value, 60), node.tag.removeprefix(KIND)
+    if kind in ("str", "null") or (kind == "int" and DECIMAL.fullmatch(node.value)):
+        return _too_long(node) if kind == "int" else ""
+    if kind == "bool" and node.value.lower() in ("true", "false"):
+        return ""
+    if kind == "float" and ":" not in node.value:
+        return ""
+    if kind not in READERS:
+        what = "a date" if kind == "timestamp" else "a sign of its own"
+        return f"YAML takes {text} for {what}; write '{text}' in quotes"
+    try:
+        meant = READERS[kind](yaml.constructor.SafeConstructor(), node)
+    except (ValueError, KeyError, IndexError):
+        return f"YAML cannot read {text}; write '{text}' in quotes"
+    plain = yaml.safe_dump(meant).split("\n")[0]
+    return f"YAML reads {text} as {plain}; write {plain}, or '{text}' in quotes if text is meant"
+
+
+READERS: dict[str, Callable[[yaml.constructor.SafeConstructor, yaml.ScalarNode], object]] = {
+    "bool": yaml.constructor.SafeConstructor.construct_yaml_bool,
+    "int": yaml.constructor.SafeConstructor.construct_yaml_int,
+    "float": yaml.constructor.SafeConstructor.construct_yaml_float,
+}
+"""How YAML reads those kinds."""
+
+MOST_DIGITS = 100
+"""Of a whole number; Python itself gives up at some thousand."""
+
+
+def _too_long(node: yaml.ScalarNode) -> str:
+    digits = len(node.value)
+    too_long = f"this number has {digits} digits; {MOST_DIGITS} are read, so write a smaller one"
+    return too_long if digits > MOST_DIGITS else ""

@@ -1,21 +1,20 @@
 """Checking a config's entrants: their methods, options and trainings."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from geoevs.config.entrants import method_entries
-from geoevs.config.files import located
 from geoevs.config.partitions import partition_scenes
+from geoevs.config.places import Origin, located
 from geoevs.config.trainings import check_named, variants
-from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.errors import GeoEvsError, did_you_mean, reason_of
 from geoevs.core.settings import SettingError, check_options
 from geoevs.methods.contract import ORACLES
 from geoevs.methods.finding import find_methods, find_trainings, method_class, training_class
 from geoevs.protocol.entries import MethodEntry
 
 
-def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+def check_methods(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
     """Check that every entrant exists and is told apart, and can be made with its options.
 
     Raises:
@@ -29,9 +28,20 @@ def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 f"{path}: '{name}' is the control that copies the answer, so this method would "
                 "never run; rename its folder"
             )
-    labels = set()
-    for entry in method_entries(config):
-        with located(("methods", entry.name), files):
+    entries = method_entries(config)
+    if not entries:
+        with located(("methods",), origins):
+            raise GeoEvsError("there is no method to run; give one of them {} in place of null")
+    labels: set[str] = set()
+    checked: set[str] = set()
+    for entry in entries:
+        with located(("methods", entry.name), origins):
+            if entry.label in labels:
+                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
+            labels.add(entry.label)
+            if entry.name in checked:
+                continue  # another seed
+            checked.add(entry.name)
             if entry.method not in (*ORACLES, *found):
                 raise GeoEvsError(
                     f"there is no method '{entry.method}'; "
@@ -41,9 +51,6 @@ def check_methods(config: Mapping[str, Any], files: Sequence[Path]) -> None:
                 raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
             _check_training(config, entry)
             check_method_options(entry)
-            if entry.label in labels:
-                raise GeoEvsError(f"two entrants are called '{entry.label}'; rename one variant")
-            labels.add(entry.label)
 
 
 def check_method_options(entry: MethodEntry) -> None:
@@ -59,19 +66,19 @@ def check_method_options(entry: MethodEntry) -> None:
         )
     if entry.method in ORACLES:
         return
-    given = entry.options | ({"weights": ""} if entry.training else {})
+    trained = ("weights",) if entry.training else ()
     method = _imported(entry)
     if method is None:
         return
     try:
-        check_options(f"method '{entry.name}'", method, given)
+        check_options(f"method '{entry.name}'", method, entry.options, elsewhere=trained)
     except SettingError as mistake:
         raise SettingError(("options", *mistake.key), str(mistake)) from None
     try:
-        method(**given)
+        method(**entry.options, **dict.fromkeys(trained, ""))
     except GeoEvsError:
         raise
-    except Exception:  # a mistake of the method's own, which its rows will tell
+    except (Exception, SystemExit):  # a mistake of the method's own, which its rows will tell
         return
 
 
@@ -100,6 +107,13 @@ def _check_training(config: Mapping[str, Any], entry: MethodEntry) -> None:
             f"method '{trainer}' has no training of its own; name another method's as "
             f"METHOD/VARIANT ({', '.join(_all_trainings(config))})"
         )
+    readable = _trainers(entry)
+    if readable and trainer not in readable:
+        raise SettingError(
+            ("training",),
+            f"method '{entry.name}' cannot read the weights of '{trainer}'; name a training of "
+            f"{' or '.join(map(repr, readable))}",
+        )
     check_named(config, entry.training)
     partition = training_class(trainer).partition
     if not partition_scenes(config, partition, config["datasets"]):
@@ -116,7 +130,18 @@ def _all_trainings(config: Mapping[str, Any]) -> list[str]:
 def _needs(entry: MethodEntry) -> tuple[str, ...]:
     method = _imported(entry)
     # A method without info is told so by its rows.
-    return getattr(getattr(method, "info", None), "needs", ())
+    return _texts(getattr(getattr(method, "info", None), "needs", ()))
+
+
+def _trainers(entry: MethodEntry) -> tuple[str, ...]:
+    """Whose weights a method reads: those it names, else its own; none if nobody knows."""
+    own = (entry.method,) if entry.method in find_trainings() else ()
+    return _texts(getattr(_imported(entry), "trainers", own))
+
+
+def _texts(declared: Any) -> tuple[str, ...]:
+    """What a class declares as texts; nothing of what is something else, as its rows will tell."""
+    return tuple(declared) if isinstance(declared, (tuple, list)) else ()
 
 
 def _imported(entry: MethodEntry) -> type | None:
@@ -129,10 +154,10 @@ def _imported(entry: MethodEntry) -> type | None:
         return method_class(entry.method)
     except GeoEvsError:
         raise
-    except Exception as error:  # a method's module may raise anything
+    except (Exception, SystemExit) as error:  # a method's module may raise anything
         if not (entry.training or entry.options):
             return None
         raise GeoEvsError(
-            f"method '{entry.method}' cannot be imported ({error}); install what it lacks, or set "
-            "it to null to leave it out"
+            f"method '{entry.method}' cannot be imported ({reason_of(error)}); install what it "
+            "lacks, or set it to null to leave it out"
         ) from error

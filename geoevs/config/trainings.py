@@ -1,27 +1,27 @@
 """A config's trainings: one section a method that trains, and variants of it."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
-from geoevs.config.files import locate, located
+from geoevs.config.places import Origin, locate, located
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.settings import make_settings
 from geoevs.methods.contract import DEFAULT
 from geoevs.methods.finding import find_trainings, training_class
 
 
-def training_of(method: str, text: str) -> str:
+def training_of(method: str, text: str, trainers: Container[str] | None = None) -> str:
     """The training that `training: TEXT` under a method means, as METHOD/VARIANT.
 
     `VARIANT` alone is the method's own. Without any text it is the method's own section as it
-    stands, and nothing for a method that does not train.
+    stands, and nothing for a method that is none of `trainers`, those that train (None: look).
 
     >>> training_of("geo-evs-support", "geo-evs/v3")
     'geo-evs/v3'
     """
     if not text:
-        return f"{method}/{DEFAULT}" if method in find_trainings() else ""
+        trainers = find_trainings() if trainers is None else trainers
+        return f"{method}/{DEFAULT}" if method in trainers else ""
     return text if "/" in text else f"{method}/{text}"
 
 
@@ -41,7 +41,7 @@ def training_settings(config: Mapping[str, Any], training: str) -> dict[str, Any
     return _merged(section, changes)
 
 
-def check_trainings(config: Mapping[str, Any], files: Sequence[Path]) -> None:
+def check_trainings(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
     """Check every section and variant by the Settings of its method.
 
     Raises:
@@ -49,20 +49,20 @@ def check_trainings(config: Mapping[str, Any], files: Sequence[Path]) -> None:
             or a setting is wrong.
     """
     for trainer, section in config["trainings"].items():
-        with located(("trainings", trainer), files):
+        with located(("trainings", trainer), origins):
             kind = training_class(trainer).Settings
         who = f"the training of '{trainer}'"
         if DEFAULT in section.get("variants", {}):
-            where = locate(("trainings", trainer, "variants", DEFAULT), files)
+            where = locate(("trainings", trainer, "variants", DEFAULT), origins)
             raise GeoEvsError(
                 f"{where}: '{DEFAULT}' is the training by the section itself; rename the variant"
             )
-        with located(("trainings", trainer), files):
+        with located(("trainings", trainer), origins):
             make_settings(who, kind, training_settings(config, f"{trainer}/{DEFAULT}"))
         for variant, changes in section.get("variants", {}).items():
-            with located(("trainings", trainer, "variants", variant), files):
+            with located(("trainings", trainer, "variants", variant), origins):
                 make_settings(who, kind, changes)
-            with located(("trainings", trainer, "variants", variant), files):
+            with located(("trainings", trainer, "variants", variant), origins):
                 make_settings(who, kind, training_settings(config, f"{trainer}/{variant}"))
 
 

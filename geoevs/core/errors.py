@@ -5,6 +5,9 @@ from collections.abc import Iterable
 
 from geoevs.core.text import clean
 
+MOST_CHOICES = 50
+"""Allowed words that a sentence lists."""
+
 
 class GeoEvsError(Exception):
     """Bad input or configuration. Its text is one sentence that names the culprit and the fix."""
@@ -30,6 +33,7 @@ def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     "did you mean 'street'? (one of: pandaset, street)"
     """
     allowed = sorted(allowed)
-    nearest = difflib.get_close_matches(word, allowed, n=1, cutoff=0.5)
-    choices = f"one of: {', '.join(allowed)}"
+    nearest = difflib.get_close_matches(word[:100], allowed, n=1, cutoff=0.5)
+    more = f" and {len(allowed) - MOST_CHOICES} more" if len(allowed) > MOST_CHOICES else ""
+    choices = f"one of: {', '.join(allowed[:MOST_CHOICES])}{more}"
     return f"did you mean '{nearest[0]}'? ({choices})" if nearest else choices

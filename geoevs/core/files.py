@@ -1,20 +1,47 @@
 """Files that are written whole or not at all, and read whole or refused."""
 
-import glob
+import errno
+import fcntl
 import io
 import json
 import os
 import shutil
+import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.text import clean
+
+MAX_JSON_BYTES = 256 * 2**20
+"""Most bytes of a JSON file; the largest of a run, a scene's targets, has a thousandth."""
+
+MAX_ARRAY_BYTES = 4 * 2**30
+"""Most bytes that the arrays of a file may unpack to; a scene's largest are a hundredth."""
+
+MAX_PIXELS = 2**26
+"""Most pixels of an image: twice those of an 8K one."""
+
+ADVICE = {
+    errno.ENOSPC: "free space there",
+    errno.EDQUOT: "free space there",
+    errno.ENAMETOOLONG: "give it a shorter name",
+    errno.ENOTDIR: "move the file that stands where a folder should",
+    errno.EEXIST: "move the file that stands where a folder should",
+    errno.EISDIR: "move the folder that stands where the file should",
+    errno.EIO: "check the disk",
+}
+"""What to do about an error of the system's; for all others, see `_explain_write_failure`."""
+
+_UMASK = os.umask(0)
+os.umask(_UMASK)
 
 
 @contextmanager
@@ -23,32 +50,40 @@ def _explain_write_failure(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
+        advice = ADVICE.get(error.errno or 0, "choose a writable folder")
         raise GeoEvsError(
-            f"cannot write {path} ({reason}); free space there or choose a writable folder "
-            "(nothing was changed)"
+            f"cannot write {path} ({reason}); {advice} (nothing was changed)"
         ) from error
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write `data` to `path` through a temporary file beside it, so that readers see old or new.
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Write files that belong together, each through a temporary one beside it.
+
+    All are complete on disk before the first gets its name, so that readers see old or new.
 
     Raises:
-        GeoEvsError: the disk is full or the folder is read-only; an earlier file stays as it was.
+        GeoEvsError: the disk is full or a folder is read-only; earlier files stay as they were.
     """
-    path = Path(path)
-    with _explain_write_failure(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+    with ExitStack() as stack:
+        complete = []
+        for path, data in files.items():
+            path = _real(path)
+            with _explain_write_failure(path):
+                temporary, handle = stack.enter_context(_temporary_file(path))
+                with os.fdopen(os.dup(handle), "wb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(handle)
+                os.chmod(temporary, 0o666 & ~_UMASK)
+                complete.append((temporary, path))
+        for temporary, path in complete:
+            with _explain_write_failure(path):
+                os.replace(temporary, path)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write one file, whole or not at all (see `write_files`)."""
+    write_files({Path(path): data})
 
 
 def link_file(source: Path, path: Path) -> None:
@@ -57,42 +92,26 @@ def link_file(source: Path, path: Path) -> None:
     Raises:
         GeoEvsError: `source` is missing, the disk is full or the folder is read-only.
     """
-    source, path = Path(source), Path(path)
+    source, path = Path(source), _real(path)
     if not source.is_file():
         raise GeoEvsError(f"{source} is missing; make or copy it there")
-    with _explain_write_failure(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            temporary = Path(folder) / path.name
-            try:
-                os.link(source, temporary)
-            except OSError:  # another device, or one without links
-                shutil.copyfile(source, temporary)
-            os.replace(temporary, path)
+    with _explain_write_failure(path), _temporary_folder(path) as folder:
+        temporary = folder / path.name
+        try:
+            os.link(source, temporary)
+        except OSError:  # another device, or one without links
+            shutil.copyfile(source, temporary)
+        os.replace(temporary, path)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text whole or not at all (see `write_bytes`)."""
+    """Write UTF-8 text whole or not at all (see `write_files`)."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write `value` as indented JSON, whole or not at all (see `write_bytes`)."""
+    """Write `value` as indented JSON, whole or not at all (see `write_files`)."""
     write_text(path, json.dumps(value, indent=1) + "\n")
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        GeoEvsError: the file is missing or is not JSON.
-    """
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise GeoEvsError(f"{path} is missing; make or copy it there") from error
-    except ValueError as error:
-        raise GeoEvsError(f"{path} is not valid JSON ({error}); restore or remake it") from error
 
 
 @contextmanager
@@ -102,22 +121,23 @@ def new_folder(path: Path) -> Iterator[Path]:
     An existing folder at `path` is replaced only then, and stays whole until then.
 
     Raises:
-        GeoEvsError: the disk is full or the place is read-only.
+        GeoEvsError: the disk is full, the place is read-only, or somebody removed the temporary
+            folder meanwhile, so that what it holds is not whole.
     """
-    path = Path(path)
-    with _explain_write_failure(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for abandoned in path.parent.glob(f".{glob.escape(path.name)}~*"):  # by a killed process
-            shutil.rmtree(abandoned, ignore_errors=True)
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}~"))
-    try:
-        yield temporary
+    path = _real(path)
+    with ExitStack() as stack:
         with _explain_write_failure(path):
-            temporary.chmod(0o755)
+            temporary = stack.enter_context(_temporary_folder(path))
+            made = temporary.stat()
+        yield temporary
+        if not (temporary.exists() and os.path.samestat(temporary.stat(), made)):
+            raise GeoEvsError(
+                f"the folder that was to become {path} was removed while it was filled; do not "
+                "clear a run's folder while it runs, and start it again"
+            )
+        with _explain_write_failure(path):
+            temporary.chmod(0o777 & ~_UMASK)
             _replace_folder(temporary, path)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
 
 
 def _replace_folder(new: Path, path: Path) -> None:
@@ -135,6 +155,116 @@ def _replace_folder(new: Path, path: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
+def _real(path: Path) -> Path:
+    """Where a path that is a link leads: what is written goes there, and the link stays."""
+    path = Path(path)
+    return path.resolve() if path.is_symlink() else path
+
+
+# A temporary file or folder is locked by the process that fills it. A lock ends with its process,
+# on every host that shares the disk, so that what can be locked is what a killed one left.
+
+
+@contextmanager
+def _temporary_file(path: Path) -> Iterator[tuple[Path, int]]:
+    """A locked new file beside `path`, and its handle; it is gone afterwards, unless renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _clear_abandoned(path)
+    while True:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}~")
+        if _lock(handle, name):
+            break
+        os.close(handle)
+    try:
+        yield Path(name), handle
+    finally:
+        os.close(handle)
+        Path(name).unlink(missing_ok=True)
+
+
+@contextmanager
+def _temporary_folder(path: Path) -> Iterator[Path]:
+    """A locked new folder beside `path`; it is gone afterwards, unless renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _clear_abandoned(path)
+    while True:
+        name = tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}~")
+        with suppress(FileNotFoundError):  # cleared before it could be locked
+            handle = os.open(name, os.O_RDONLY)
+            if _lock(handle, name):
+                break
+            os.close(handle)
+    try:
+        yield Path(name)
+    finally:
+        os.close(handle)
+        shutil.rmtree(name, ignore_errors=True)
+
+
+def _lock(handle: int, name: str) -> bool:
+    """Lock a new file or folder; False if another process took it for abandoned just before."""
+    with suppress(OSError):  # file systems without locks: then nothing is ever cleared there
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    return os.path.exists(name)
+
+
+def _clear_abandoned(path: Path) -> None:
+    """Remove temporary files and folders of `path` that killed processes left."""
+    prefix = f".{path.name}~"
+    for abandoned in [entry for entry in os.scandir(path.parent) if entry.name.startswith(prefix)]:
+        with suppress(OSError):  # it is locked, and so in use, or just gone
+            handle = os.open(abandoned.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if abandoned.is_dir():
+                    shutil.rmtree(abandoned.path, ignore_errors=True)
+                else:
+                    os.unlink(abandoned.path)
+            finally:
+                os.close(handle)
+
+
+def check_file(path: Path) -> Path:
+    """A path, if it is a regular file: reading a pipe or a device might never end.
+
+    Raises:
+        GeoEvsError: it is missing, a folder, a pipe or a device, or cannot be looked at.
+    """
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError as error:
+        raise GeoEvsError(f"{path} is missing; make or copy it there") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise GeoEvsError(f"{path} cannot be read ({reason}); correct the path") from error
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise GeoEvsError(f"{path} is {kind}, not a file; put the file there")
+    return path
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        GeoEvsError: the file is missing, is not JSON, or is larger than MAX_JSON_BYTES.
+    """
+    path = check_file(path)
+    if path.stat().st_size > MAX_JSON_BYTES:
+        raise GeoEvsError(
+            f"{path} has more than {MAX_JSON_BYTES // 2**20} MiB; restore or remake it"
+        )
+    try:
+        return json.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise GeoEvsError(f"{path} cannot be read ({error.strerror}); mend its rights") from error
+    except (ValueError, RecursionError) as error:  # UnicodeDecodeError among them
+        raise GeoEvsError(
+            f"{path} is not valid JSON ({clean(str(error))}); restore or remake it"
+        ) from error
+
+
 @contextmanager
 def whole_file(path: Path) -> Iterator[None]:
     """Name `path` in whatever goes wrong while the block decodes it.
@@ -142,48 +272,100 @@ def whole_file(path: Path) -> Iterator[None]:
     Broken archives and tables raise anything, so every exception counts.
 
     Raises:
-        GeoEvsError: the file is missing or damaged.
+        GeoEvsError: the file is missing, no regular file, or damaged.
     """
+    check_file(path)
     try:
         yield
-    except FileNotFoundError as error:
-        raise GeoEvsError(f"{path} is missing; make or copy it there") from error
+    except GeoEvsError:
+        raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = clean(str(error)) or type(error).__name__
         raise GeoEvsError(f"{path} is not whole ({reason}); delete it and make it again") from error
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write named arrays as a compressed .npz, whole or not at all (see `write_bytes`)."""
+def encode_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Named arrays as the bytes of a compressed .npz."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as a compressed .npz, whole or not at all (see `write_files`)."""
+    write_bytes(path, encode_arrays(arrays))
+
+
+def open_arrays(path: Path) -> "np.lib.npyio.NpzFile":
+    """What `write_arrays` wrote, its arrays read when asked for; the caller closes it.
+
+    Raises:
+        GeoEvsError: the file is missing or damaged, or its arrays unpack to more than
+            MAX_ARRAY_BYTES.
+    """
+    with whole_file(path):
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_ARRAY_BYTES:
+            raise GeoEvsError(
+                f"{path} unpacks to more than {MAX_ARRAY_BYTES // 2**30} GiB; do not open it, get "
+                "the original"
+            )
+        return np.load(path, allow_pickle=False)
 
 
 def read_arrays(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
     """Read what `write_arrays` wrote: the arrays whose names begin with `prefix`, without it.
 
     Raises:
-        GeoEvsError: the file is missing or damaged.
+        GeoEvsError: see `open_arrays`.
     """
-    with whole_file(path), np.load(path, allow_pickle=False) as file:
+    with open_arrays(path) as file, whole_file(path):
         names = [name for name in file.files if name.startswith(prefix)]
         return {name.removeprefix(prefix): file[name] for name in names}
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Read an image file as (H, W, 3) uint8 RGB.
+    """Read a PNG or JPEG as (H, W, 3) uint8 RGB, turned as its EXIF says.
+
+    Grey, palettes and 16 bits are converted. What would be scored as something else than it shows
+    is refused: transparency, floats, CMYK.
 
     Raises:
-        GeoEvsError: the file is missing, truncated, or no image.
+        GeoEvsError: the file is missing or truncated, is neither by its content, has another
+            meaning, or more than MAX_PIXELS.
     """
+    path = check_file(path)
     try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except FileNotFoundError as error:
-        raise GeoEvsError(f"{path} is missing; copy it there or drop its frame") from error
-    except (OSError, SyntaxError, ValueError) as error:
-        raise GeoEvsError(f"{path} is not a whole image ({error}); download it again") from error
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise GeoEvsError(
+                    f"{path} has {image.height} x {image.width} pixels, more than any camera; make "
+                    "it smaller"
+                )
+            return _rgb(ImageOps.exif_transpose(image), path)
+    except GeoEvsError:
+        raise
+    except Exception as error:  # decoders raise anything at damaged files
+        raise GeoEvsError(
+            f"{path} is not a whole PNG or JPEG image ({clean(str(error))}); make or download it "
+            "again"
+        ) from error
+
+
+def _rgb(image: Image.Image, path: Path) -> np.ndarray:
+    """(H, W, 3) uint8 of an image whose mode says what its pixels mean."""
+    if image.mode.startswith("I;16"):
+        grey = np.rint(np.asarray(image, np.float64) / 257.0).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=2)
+    if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
+        rgba = np.asarray(image.convert("RGBA"))
+        if (rgba[..., 3] < 255).any():
+            raise GeoEvsError(f"{path} has transparent pixels; save it without an alpha channel")
+        return np.ascontiguousarray(rgba[..., :3])
+    if image.mode not in ("1", "L", "P", "RGB"):
+        raise GeoEvsError(f"{path} has pixels of mode {image.mode}; save it as 8-bit RGB")
+    return np.asarray(image.convert("RGB"))
 
 
 def write_image(path: Path, image: np.ndarray) -> None:

@@ -1,5 +1,6 @@
 """Names and paths that stand in files: none may lead out of the folder that it is joined to."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,17 @@ def check_name(name: Any, what: str, file: Path | str) -> str:
         shown = clean(str(name), 60)
         raise GeoEvsError(f"{file}: {what} '{shown}' is not an allowed name; use {NAME_RULE}")
     return name
+
+
+def expanded(path: str) -> Path:
+    """A path that a config names: as it stands if there is such a one, else with `~` and `$NAME`.
+
+    So a folder that is really called `a$HOME` is found, and a variable that is empty or unknown
+    becomes no other folder.
+    """
+    if os.path.exists(path):
+        return Path(path)
+    return Path(os.path.expanduser(os.path.expandvars(path)) or path)
 
 
 def inside(folder: Path, path: Any, file: Path | str) -> Path:

@@ -11,9 +11,15 @@ import torch
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.files import whole_file, write_bytes
 from geoevs.core.randomness import Rng
+
+COUNTS = ("depth", "layers")
+"""What is in the names of settings that count parts of a network, each with weights of its own."""
+
+LARGEST_SETTING = 2**20
+"""Largest whole number that a network's settings may hold."""
 
 
 def save_network(
@@ -38,11 +44,55 @@ def read_network(path: Path) -> tuple[dict[str, Any] | None, dict[str, Tensor]]:
     """Settings (None in files of others) and weights of a .safetensors file, on the CPU.
 
     Raises:
-        GeoEvsError: the file is missing or damaged.
+        GeoEvsError: the file is missing or damaged, or its settings say more than its weights hold.
     """
     with whole_file(path), safe_open(path, "pt") as file:
         weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return json.loads((file.metadata() or {}).get("settings", "null")), weights
+        settings = json.loads((file.metadata() or {}).get("settings", "null"))
+        if not isinstance(settings, dict | None):
+            raise ValueError("its settings are no mapping")
+        _check_settings(settings, len(weights))
+    return settings, weights
+
+
+def _check_settings(value: Any, parts: int, name: str = "settings") -> None:
+    """Refuse numbers that would take minutes or all memory to build what the file cannot hold."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _check_settings(inner, parts, key)
+    elif isinstance(value, list):
+        if len(value) > LARGEST_SETTING:
+            raise ValueError(f"'{name}' has {len(value)} values")
+        for inner in value:
+            _check_settings(inner, parts, name)
+    elif isinstance(value, int | float):
+        counts = any(count in name for count in COUNTS)
+        if not abs(value) <= (max(parts, 1) if counts else LARGEST_SETTING):
+            raise ValueError(f"'{name}' is {value}, and it has {parts} weights")
+
+
+@contextmanager
+def built_as_described(path: Path, advice: str) -> Iterator[None]:
+    """Let the block build a network from a file's settings, on the meta device.
+
+    There, random weights are not made in vain.
+
+    Args:
+        path: where the settings were read, for errors.
+        advice: what to do about a mistake, the end of its sentence.
+
+    Raises:
+        GeoEvsError: a setting is missing, unknown or of a wrong kind.
+    """
+    try:
+        with torch.device("meta"):
+            yield
+    except GeoEvsError:
+        raise
+    except Exception as error:  # networks check their settings in any way
+        raise GeoEvsError(
+            f"{path} describes no network of this kind ({reason_of(error)}); {advice}"
+        ) from error
 
 
 def best_device() -> str:
@@ -60,7 +110,8 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
         advice: what to do about a mistake, the end of its sentence.
 
     Raises:
-        GeoEvsError: a weight is missing, unknown or of another shape; the first one is named.
+        GeoEvsError: a weight is missing, unknown, of another shape or not finite; the first one
+            is named.
     """
     state = model.state_dict()
     for name, value in state.items():
@@ -71,6 +122,8 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
                 f"{path} has '{name}' of shape {tuple(weights[name].shape)} where this network's "
                 f"is {tuple(value.shape)}; {advice}"
             )
+        if not torch.isfinite(weights[name]).all():
+            raise GeoEvsError(f"{path} has '{name}' with NaN or infinite weights; {advice}")
     for name in weights:
         if name not in state:
             raise GeoEvsError(f"{path} has '{name}', which this network has not; {advice}")

@@ -7,9 +7,9 @@ they take where they are declared, and nowhere else:
     sampler: Annotated[str, OneOf(SAMPLERS)] | None = None
 """
 
+import contextlib
 import dataclasses
 import inspect
-import math
 import types
 import typing
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
+from geoevs.core.text import clean
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -29,7 +30,7 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 class SettingError(GeoEvsError):
     """A mistake in one value; `key` says where, below what was checked."""
 
-    def __init__(self, key: tuple[str, ...], sentence: str) -> None:
+    def __init__(self, key: tuple[str | int, ...], sentence: str) -> None:
         super().__init__(sentence)
         self.key = key
 
@@ -57,6 +58,17 @@ class Above:
 
 
 @dataclass(frozen=True)
+class AtMost:
+    """A number that is `high` or less."""
+
+    high: float
+
+    def mistake(self, value: float) -> str:
+        """The advice for a number that is too large; empty for one that is allowed."""
+        return "" if value <= self.high else f"make it {self.high:,} or less"
+
+
+@dataclass(frozen=True)
 class Within:
     """A number from `low` to `high`, both included."""
 
@@ -81,17 +93,20 @@ class OneOf:
 
     def mistake(self, value: str) -> str:
         """The nearest of the words, as advice; empty for one that is among them."""
-        return "" if value in self.words else did_you_mean(value, self.words)
+        return "" if value in self.words else did_you_mean(str(value), map(str, self.words))
 
 
-Count = Annotated[int, AtLeast(1)]
-"""A number of things, at least one."""
+Count = Annotated[int, AtLeast(1), AtMost(10**9)]
+"""A number of things, at least one; more than a billion is a slip of the keyboard."""
 
 Share = Annotated[float, Within(0, 1)]
 """A part of a whole."""
 
 Positive = Annotated[float, Above(0)]
 """A number above zero, such as a learning rate."""
+
+LARGEST = 1e15
+"""Of any number in a config: all whole numbers up to it are exact in floats as well."""
 
 PLAIN = {
     bool: "true or false",
@@ -103,8 +118,30 @@ PLAIN = {
 """What a value of each plain type looks like in YAML."""
 
 
+def is_sane(value: float) -> bool:
+    """Whether a number is finite and at most LARGEST; a whole one may have any number of digits."""
+    return -LARGEST <= value <= LARGEST
+
+
+def shown(value: Any) -> str:
+    """A value as a config has it, short enough for a sentence.
+
+    >>> shown(None), shown(True), shown("three"), shown([1, 2])
+    ('null', 'true', "'three'", '[1, 2]')
+    """
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, int) and not is_sane(value):
+        return "a whole number of many digits"
+    return clean(f"'{value}'" if isinstance(value, str) else repr(value), 60)
+
+
 def check_options(
-    who: str, factory: Callable[..., Any], options: Mapping[str, Any], positional: int = 0
+    who: str,
+    factory: Callable[..., Any],
+    options: Mapping[str, Any],
+    positional: int = 0,
+    elsewhere: Collection[str] = (),
 ) -> None:
     """Check that `options` are what `factory` takes, besides its first `positional` arguments.
 
@@ -114,12 +151,13 @@ def check_options(
             runs is taken at its word.
         options: by name.
         positional: how many of its arguments are no options.
+        elsewhere: options that are set by something else, and so are neither offered nor missed.
 
     Raises:
         SettingError: an option that it does not take (the sentence names the nearest one), one of
             another type or value, or one that it needs is missing.
     """
-    taken = _parameters(factory)[positional:]
+    taken = [option for option in _parameters(factory)[positional:] if option.name not in elsewhere]
     _check_names(who, [option.name for option in taken], options)
     for option in taken:
         if option.name in options:
@@ -228,7 +266,9 @@ def _check_names(
     for name in values:
         if name not in names:
             hint = did_you_mean(str(name), names) if names else "it has none"
-            raise SettingError((*key, name), f"{who} has no option '{name}'; {hint}")
+            raise SettingError(
+                (*key, name), f"{who} has no option '{clean(str(name), 60)}'; {hint}"
+            )
 
 
 def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) -> None:
@@ -237,9 +277,8 @@ def _check_value(who: str, key: tuple[str, ...], value: Any, annotation: Any) ->
         _check_section(who, key, value, section)
         return
     if mistake := _mistake(value, annotation):
-        text = "null" if value is None else repr(value)
         raise SettingError(
-            key, f"{who} cannot have {text} for its option '{'.'.join(key)}'; {mistake}"
+            key, f"{who} cannot have {shown(value)} for its option '{'.'.join(key)}'; {mistake}"
         )
 
 
@@ -248,7 +287,7 @@ def _mistake(value: Any, annotation: Any) -> str:
     origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
         bounds = [bound for bound in parts[1:] if hasattr(bound, "mistake")]
-        reasons = (bound.mistake(value) for bound in bounds)
+        reasons = (bound.mistake(value) for bound in bounds if value is not None)
         return _mistake(value, parts[0]) or next(filter(None, reasons), "")
     if origin is Literal:
         return "" if value in parts else did_you_mean(str(value), map(str, parts))
@@ -257,7 +296,7 @@ def _mistake(value: Any, annotation: Any) -> str:
         nothing = "" if value is None and type(None) in parts else "no"
         return "" if not nothing or "" in each else " or ".join(dict.fromkeys(each))
     if annotation in PLAIN:
-        return "" if _is_plain(value, annotation) else f"write {PLAIN[annotation]}"
+        return "" if _is_plain(value, annotation) else f"write {plain_advice(value, annotation)}"
     if _is_section(annotation):
         return (
             ""
@@ -279,12 +318,38 @@ def _is_section(annotation: Any) -> "TypeIs[type[DataclassInstance]]":
 def _is_plain(value: Any, kind: type) -> bool:
     if kind is Path:
         return isinstance(value, (str, Path))
-    if kind is float:
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and math.isfinite(value)
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+    if kind in (int, float):
+        number = isinstance(value, (int, kind)) and not isinstance(value, bool)
+        return number and is_sane(value)
     return isinstance(value, kind)
+
+
+def plain_advice(value: Any, kind: type) -> str:
+    """What to write for a value of a plain type, in place of one that is not.
+
+    >>> plain_advice("1e-3", float)
+    "0.001 (YAML takes '1e-3' for text)"
+    """
+    if kind in (int, float) and isinstance(value, (int, float)) and not is_sane(value):
+        return f"a finite number of {LARGEST:g} at most"
+    if kind in (int, float) and isinstance(value, str):
+        with contextlib.suppress(ValueError, OverflowError):
+            number = float(value)
+            if is_sane(number) and (kind is float or number == int(number)):
+                plain = yaml_number(number) if kind is float else str(int(number))
+                return f"{plain} (YAML takes {shown(value)} for text)"
+    return PLAIN[kind]
+
+
+def yaml_number(value: float) -> str:
+    """A number as YAML 1.1 reads it: with a dot, and a sign in the exponent.
+
+    >>> yaml_number(1e-7), yaml_number(0.001), yaml_number(1e20)
+    ('1.0e-07', '0.001', '1.0e+20')
+    """
+    text = repr(value)
+    mantissa, e, exponent = text.partition("e")
+    return f"{mantissa}.0{e}{exponent}" if e and "." not in mantissa else text
 
 
 def _list_mistake(value: Any, origin: type, parts: tuple[Any, ...]) -> str:

@@ -10,7 +10,8 @@ from huggingface_hub.errors import HFValidationError
 from torch import Tensor
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.networks import load_weights, read_network, save_network
+from geoevs.core.names import expanded
+from geoevs.core.networks import built_as_described, load_weights, read_network, save_network
 from geoevs.diffusion.autoencoder import Autoencoder
 from geoevs.diffusion.condition_encoder import ConditionEncoder, FrozenEncoder
 from geoevs.diffusion.denoiser import Denoiser
@@ -45,7 +46,7 @@ def load_prior(name: str, weights: Path) -> Prior:
         autoencoder = load_autoencoder(weights / AUTOENCODER_FILE)
         prior = Prior(autoencoder, *load_denoiser(weights / PRIOR_FILE, autoencoder))
     else:
-        prior = _public_prior(name)
+        prior = _public_prior(str(expanded(name)))
     read, have = prior.denoiser.unet.config.in_channels, prior.autoencoder.latent_channels
     if read != have:
         raise GeoEvsError(
@@ -70,7 +71,7 @@ def load_autoencoder(path: Path) -> Autoencoder:
         GeoEvsError: the file is missing, damaged, or of another shape.
     """
     settings, weights = _read(path, {"block", "network"})
-    with torch.device("meta"):  # random weights would be made in vain
+    with built_as_described(path, REMAKE):
         autoencoder = Autoencoder(AutoencoderKL.from_config(settings["network"]), settings["block"])
     load_weights(autoencoder, weights, path, REMAKE)
     return autoencoder.eval()
@@ -101,10 +102,11 @@ def save_denoiser(
 def load_denoiser(path: Path, autoencoder: Autoencoder) -> tuple[Denoiser, Diffusion]:
     """Read what `save_denoiser` wrote; a frozen encoder takes the autoencoder."""
     settings, weights = _read(path, {"unet", "encoder", "diffusion"})
-    encoder, diffusion = settings["encoder"], Diffusion(**settings["diffusion"])
+    encoder = settings["encoder"]
     if encoder == "frozen":
         encoder = FrozenEncoder(autoencoder)
-    with torch.device("meta"):  # random weights would be made in vain
+    with built_as_described(path, REMAKE):
+        diffusion = Diffusion(**settings["diffusion"])
         if isinstance(encoder, dict):
             encoder = ConditionEncoder(autoencoder, **encoder)
         unet = UNet2DConditionModel.from_config(settings["unet"])

@@ -1,7 +1,7 @@
 """Depth of a frame's source views, by the model's name (paper section 3.2)."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import to_uint8
 from geoevs.geometry.lift import lidar_depths
+from geoevs.geometry.network_input import Window, public_input
 from geoevs.geometry.scale import fit_scale, frame_factor
 from geoevs.methods.contract import Views
 from geoevs.projection import zbuffer
@@ -20,6 +21,12 @@ if TYPE_CHECKING:
     from torch import nn
 
 # torch is imported where a network is made: it takes seconds, and names are listed without one.
+
+ANYTHING_LONGEST, ANYTHING_PATCH = 504, 14
+"""Pixels of the longer side of what Depth Anything 3 is shown, and a side of its patches."""
+
+Maps = Sequence[np.ndarray]
+"""A map of each view, [h, w] of any height and width."""
 
 
 class DepthModel(Protocol):
@@ -80,20 +87,21 @@ class NetworkDepth(ABC):
     def predict(
         self,
         images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Depth, and confidence if there is one, each [V, h, w] of any height and width."""
+        cameras: Sequence[Camera],
+    ) -> tuple[Maps, Maps | None]:
+        """Each view's depth, and its confidence if there is one, at any height and width."""
 
     def depths(self, views: Views, frame: int) -> dict[str, np.ndarray]:
         """(H, W) float32 metres by camera, 0 = none."""
         images = np.stack([views.image(name, frame) for name in views.cameras])
+        cameras = [views.camera(name, frame) for name in views.cameras]
         # Depth must not blend across edges, so whatever its resolution, the nearest is taken.
         depth, confidence = (
             None if maps is None else _resize(maps, images.shape[1:3])
-            for maps in self.predict(images)
+            for maps in self.predict(images, cameras)
         )
         if views.has("lidar"):
             points = views.lidar(frame).xyz
-            cameras = [views.camera(name, frame) for name in views.cameras]
             measured = [zbuffer(points, one, visibility="footprint").depth for one in cameras]
             factor = frame_factor(zip(depth, measured, strict=True))
             for number, camera in enumerate(cameras):
@@ -125,18 +133,17 @@ class VggtDepth(NetworkDepth):
     def predict(
         self,
         images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Depth and confidence at the size that the network is shown."""
+        cameras: Sequence[Camera],
+    ) -> tuple[Maps, Maps]:
+        """Depth and confidence at the size that the network is shown (see `VggtConfig.shown`)."""
         import torch
 
-        from geoevs.geometry.vggt import resize_image
-
-        size = self.model.config.nearest_size(*images.shape[1:3])
-        inputs = np.stack([resize_image(image.astype(np.float32), size) for image in images])
+        inputs, windows = self.model.config.shown(images.astype(np.float32), cameras)
         batch = torch.from_numpy(inputs).permute(0, 3, 1, 2)
         with torch.inference_mode():
             prediction = self.model(batch[None].to(next(self.model.parameters()).device))
-        return tuple(maps[0].cpu().numpy() for maps in prediction)
+        depth, confidence = (_cut(maps[0].cpu().numpy(), windows) for maps in prediction)
+        return depth, confidence
 
     def refined(
         self,
@@ -178,14 +185,24 @@ class DepthAnything3Depth(NetworkDepth):
     def predict(
         self,
         images: np.ndarray,  # [V, H, W, 3] float32 in [0, 1]
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+        cameras: Sequence[Camera],
+    ) -> tuple[Maps, Maps | None]:
         """Depth and confidence at the size it works in.
 
-        It is not told the poses: it would take its scale from the distances between cameras,
-        which on a vehicle are too short for that, and it refuses cameras in one line.
+        Its package resizes pictures to ANYTHING_LONGEST and keeps their aspect, so it is given them
+        so, with the aspect that was recorded. It is not told the poses: it would take its scale
+        from the distances between cameras, which on a vehicle are too short for that, and it
+        refuses cameras in one line.
         """
-        prediction = self.model.inference([to_uint8(image) for image in images])
-        return prediction.depth, prediction.conf
+        inputs, windows = public_input(
+            [to_uint8(image) for image in images], cameras, ANYTHING_LONGEST, ANYTHING_PATCH
+        )
+        prediction = self.model.inference(list(inputs))
+        depth, confidence = (
+            None if maps is None else _cut(_resize(maps, inputs.shape[1:3]), windows)
+            for maps in (prediction.depth, prediction.conf)
+        )
+        return depth, confidence
 
 
 DEPTH_MODELS: dict[str, Callable[..., DepthModel]] = {
@@ -196,8 +213,16 @@ DEPTH_MODELS: dict[str, Callable[..., DepthModel]] = {
 }
 
 
-def _resize(
+def _cut(
     maps: np.ndarray,  # [V, h, w]
+    windows: Sequence[Window],
+) -> Maps:
+    """Each view's part of what the network was shown."""
+    return [one[window] for one, window in zip(maps, windows, strict=True)]
+
+
+def _resize(
+    maps: Maps,
     size: tuple[int, int],
 ) -> np.ndarray:
     """The maps at height and width `size`, by their nearest pixels, as float32 of their own."""

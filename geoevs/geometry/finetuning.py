@@ -34,7 +34,6 @@ from geoevs.geometry.vggt import (
     VggtConfig,
     load_vggt,
     new_vggt,
-    resize_image,
     save_vggt,
 )
 from geoevs.methods.trained import seconds_file
@@ -158,18 +157,16 @@ def read_depth_frames(
         scene = Scene(folder)
         for frame in scene.frames:
             cameras = [scene.camera(name, frame) for name in scene.cameras]
-            cameras = [one.resized(*config.nearest_size(one.height, one.width)) for one in cameras]
             dense = read_depths(truth, frame) if truth is not None else {}
             points = None if dense else scene.points(frame).xyz
-            images.append(
-                [
-                    resize_image(to_uint8(scene.image(one.name, frame)), (one.height, one.width))
-                    for one in cameras
-                ]
-            )
-            known.append(
-                [_dense(dense[c.name], c) if dense else _sparse(points, c) for c in cameras]
-            )
+            recorded = [to_uint8(scene.image(one.name, frame)) for one in cameras]
+            shown, windows = config.shown(recorded, cameras)
+            depth = np.zeros(shown.shape[:3], np.float16)
+            for whole, window, camera in zip(depth, windows, cameras, strict=True):
+                seen = camera.resized(*whole[window].shape)
+                whole[window] = _dense(dense[seen.name], seen) if dense else _sparse(points, seen)
+            images.append(shown)
+            known.append(depth)
             names.append(f"{scene.info.name}/{frame}")
     if not images:
         raise GeoEvsError("there are no frames to learn depth from; name scenes in the config")
@@ -179,7 +176,7 @@ def read_depth_frames(
             f"scenes differ in their views ({', '.join(map(str, sorted(shapes)))}); train on those "
             "of one rig and resolution"
         )
-    return DepthFrames(np.array(images), np.array(known, np.float16), names)
+    return DepthFrames(np.array(images), np.array(known), names)
 
 
 def _dense(depth: np.ndarray, camera: Camera) -> np.ndarray:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file, write_arrays
 from geoevs.methods.contract import Views
+from geoevs.scenes.checks import check_depth
 from geoevs.scenes.store import Scene
 
 if TYPE_CHECKING:
@@ -30,12 +32,18 @@ def write_point_maps(
         scene: the store.
         model: gives the depth of a frame's source views.
         advance: called after each frame.
+
+    Raises:
+        GeoEvsError: the model gives what is no depth, as one with broken weights does.
     """
     views = Views(scene, scene.cameras, needs=("lidar",))
     depths = {}
     for frame in views.frames:
         maps = model.depths(views, frame)
-        depths |= {_key(name, frame): maps[name] for name in views.cameras}
+        for name in views.cameras:
+            who = f"the depth model's map of camera '{name}' in frame {frame}"
+            check_depth(maps[name], f"{who} of scene '{views.scene_name}'")
+            depths[_key(name, frame)] = maps[name]
         advance()
     write_arrays(path, depths)
 
@@ -53,9 +61,18 @@ class PointMaps:
             self._file = np.load(path, allow_pickle=False)
 
     def depth(self, camera: str, frame: int) -> np.ndarray:
-        """(H, W) float32 metres along the optical axis, 0 = none."""
+        """(H, W) float32 metres along the optical axis, 0 = none.
+
+        Raises:
+            GeoEvsError: the file has no such view, or what it has is no depth map.
+        """
+        key = _key(camera, frame)
         with whole_file(self._path):
-            return self._file[_key(camera, frame)]
+            if key not in self._file:
+                raise GeoEvsError(f"it has no depth of camera '{camera}' in frame {frame}")
+            depth = self._file[key]
+        check_depth(depth, f"{self._path}: the depth of camera '{camera}' in frame {frame}")
+        return depth
 
 
 def _key(camera: str, frame: int) -> str:

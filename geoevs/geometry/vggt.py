@@ -7,6 +7,7 @@ One network from a few million parameters, trained here, to the 1.2 billion of t
 import dataclasses
 import math
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,9 +20,11 @@ from torch import Tensor, nn
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file
 from geoevs.core.networks import load_weights, read_network, save_network
+from geoevs.geometry.network_input import Window, public_input
 from geoevs.geometry.refinement import DepthRefiner
 from geoevs.geometry.vggt_head import DepthHead
 from geoevs.geometry.vggt_layers import Block, DinoEncoder, PatchEmbedding, rotary_tables
+from geoevs.scenes.camera import Camera
 
 # Of the images' colours, as DINOv2 was trained.
 COLOUR_MEAN = (0.485, 0.456, 0.406)
@@ -53,7 +56,8 @@ class VggtConfig:
         refiner: channels of the levels of what refines its depth by LiDAR (see `DepthRefiner`);
             none has no such part, as published.
         longest: pixels of the longer side of the images that it is trained on; larger ones are
-            shown to it at this size, which is right sooner and in a fraction of the time.
+            shown to it at this size, which is right sooner and in a fraction of the time. A public
+            network is shown smaller ones enlarged to it, too (see `shown`).
     """
 
     patch_size: int
@@ -70,11 +74,34 @@ class VggtConfig:
     refiner: tuple[int, ...] = ()
     longest: int = 192
 
+    @property
+    def public(self) -> bool:
+        """Whether it is built as the published ones are, on DINOv2's encoder."""
+        return self.dino_depth > 0
+
     def nearest_size(self, height: int, width: int) -> tuple[int, int]:
         """Height and width that divide into patches, in about this ratio, up to `longest`."""
         patch, scale = self.patch_size, min(1.0, self.longest / max(height, width))
         rows, columns = (max(1, round(scale * side / patch)) for side in (height, width))
         return rows * patch, columns * patch
+
+    def shown(
+        self,
+        images: Sequence[np.ndarray],  # each [H, W, 3] uint8, or float32 in [0, 1]
+        cameras: Sequence[Camera],
+    ) -> tuple[np.ndarray, list[Window]]:
+        """The views of a frame as the network was trained to see them.
+
+        A public network, and one that was fine-tuned from it, sees what its own loader makes of
+        the recorded images (see `public_input`). The suite's own sees the run's images.
+
+        Returns:
+            (V, h, w, 3) in the images' own type, and where each view lies in it.
+        """
+        if self.public:
+            return public_input(images, cameras, self.longest, self.patch_size)
+        shown = [resize_image(image, self.nearest_size(*image.shape[:2])) for image in images]
+        return np.stack(shown), [(slice(None), slice(None))] * len(shown)
 
 
 # At the published gain of 0.01 the loss of so few blocks rose before it fell (Adam at 1e-3).

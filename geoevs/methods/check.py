@@ -10,13 +10,14 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError, reason_of
+from geoevs.core.isolate import MethodFailedError, absolute_paths, begin_part, run_isolated
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import (
     NEEDS,
@@ -29,6 +30,7 @@ from geoevs.methods.contract import (
     Views,
 )
 from geoevs.methods.finding import make_method
+from geoevs.methods.returned import checked_array, checked_report, checked_rgb
 from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
 from geoevs.scenes.camera import Camera
 
@@ -46,6 +48,9 @@ WATCHED_NEEDS = ("lidar", "tracks")
 
 # A method that reads these could see its answers.
 HIDDEN_PACKAGES = ("geoevs.protocol", "geoevs.results")
+
+LIMIT = 3600.0
+"""Seconds that all checks of a method may take."""
 
 # What Python and Numba themselves write beside the code.
 UNWATCHED_FOLDERS = ("__pycache__",)
@@ -138,6 +143,30 @@ class Trial:
         return ""
 
 
+def check_isolated(name: str, options: dict[str, Any]) -> list[Check]:
+    """`check_adapter` in a process of its own, as a run has it: one that hangs or dies is a check.
+
+    Raises:
+        GeoEvsError: there is no such method, or an option is wrong.
+    """
+    arguments = {"name": name, "options": absolute_paths(options)}
+    try:
+        told, _ = run_isolated(f"{__name__}:check_step", arguments, None, None, LIMIT)
+    except MethodFailedError as failure:
+        return [Check(failure.part or "import", "failed", str(failure))]
+    if "refused" in told:
+        raise GeoEvsError(told["refused"])
+    return [Check(**check) for check in told["checks"]]
+
+
+def check_step(name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """All checks as data, or the sentence that refuses to begin, as the isolated process has it."""
+    try:
+        return {"checks": [asdict(check) for check in check_adapter(name, options)]}
+    except GeoEvsError as error:
+        return {"refused": str(error)}
+
+
 def check_adapter(name: str, options: dict[str, Any]) -> list[Check]:
     """Run every check on the method called `name`.
 
@@ -171,6 +200,7 @@ def contract_failures(name: str, **options: object) -> list[str]:
 
 def run_check(title: str, check: Callable[[Tried], str | None], trial: Tried) -> Check:
     """Run one check on a trial; whatever the method raises is a failure of that check."""
+    begin_part(title)
     try:
         warning = check(trial)
     except BrokenContractError as broken:
@@ -223,9 +253,18 @@ def _check_imports(trial: Trial) -> None:
 
 def _check_fit(trial: Trial) -> None:
     report = trial.fit(trial.method)
-    if not isinstance(report, FitReport):
-        raise BrokenContractError(f"fit returned a {type(report).__name__}; return a FitReport")
+    with _as_in_a_run():
+        checked_report(report)
     trial.fitted = True
+
+
+@contextlib.contextmanager
+def _as_in_a_run() -> Iterator[None]:
+    """What a run would refuse is a broken contract."""
+    try:
+        yield
+    except GeoEvsError as error:
+        raise BrokenContractError(str(error)) from error
 
 
 def _check_source_view(trial: Trial) -> None:
@@ -249,31 +288,21 @@ def _check_masked_view(trial: Trial) -> None:
         )
 
 
-def _check_rendering(rendering: object, camera: Camera) -> None:
-    if not isinstance(rendering, Rendering):
-        raise BrokenContractError(f"render returned {type(rendering).__name__}; return a Rendering")
-    shape = camera.height, camera.width
-    rgb = _array("rgb", rendering.rgb, (*shape, 3))
-    if rgb.dtype != np.uint8 and not np.issubdtype(rgb.dtype, np.floating):
-        raise BrokenContractError(f"rgb is {rgb.dtype}; give uint8, or float in [0, 1]")
-    if rgb.dtype != np.uint8 and not (np.isfinite(rgb).all() and 0 <= rgb.min() <= rgb.max() <= 1):
-        raise BrokenContractError(
-            f"rgb spans {rgb.min():g} to {rgb.max():g}; keep it finite and in [0, 1]"
-        )
-    if rendering.depth is not None:
-        depth = _array("depth", rendering.depth, shape)
-        if not (np.isfinite(depth).all() and depth.min() >= 0):
-            raise BrokenContractError("depth is negative or not finite somewhere; write 0 for none")
-    if rendering.support is not None and _array("support", rendering.support, shape).dtype != bool:
-        raise BrokenContractError(f"support is {rendering.support.dtype}; make it bool")
-
-
-def _array(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
-    if not isinstance(value, np.ndarray):
-        raise BrokenContractError(f"{name} is a {type(value).__name__}; make it a NumPy array")
-    if value.shape != shape:
-        raise BrokenContractError(f"{name} has shape {value.shape}; the camera asks for {shape}")
-    return value
+def _check_rendering(rendering: Rendering | None, camera: Camera) -> None:
+    with _as_in_a_run():
+        checked_rgb(rendering, camera)
+        assert rendering is not None
+        shape = camera.height, camera.width
+        if rendering.depth is not None:
+            depth = checked_array("depth", rendering.depth, shape)
+            if not (np.isfinite(depth).all() and depth.min() >= 0):
+                raise BrokenContractError(
+                    "depth is negative or not finite somewhere; write 0 for none"
+                )
+        if rendering.support is not None:
+            support = checked_array("support", rendering.support, shape)
+            if support.dtype != bool:
+                raise BrokenContractError(f"support is {support.dtype}; make it bool")
 
 
 def _check_needs(trial: Trial) -> str | None:

@@ -14,11 +14,12 @@ from typing import Any
 
 from geoevs.core.code_hash import PACKAGES
 from geoevs.core.settings import SettingError, make_settings
-from geoevs.methods.check import BrokenContractError, Check, run_check
+from geoevs.methods.check import LIMIT, BrokenContractError, Check, run_check
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.methods.trained import FAILURE_FILE, SECONDS_FILE
 from geoevs.methods.training import CombinedTraining, Inputs
+from geoevs.methods.training_steps import combine_files, failure_of, prepare_scene
 from geoevs.scenes.store import Scene
 
 STEPS = 8
@@ -152,9 +153,9 @@ def _check_settings(trial: TrainingTrial) -> None:
 def _check_prepare(trial: TrainingTrial) -> None:
     first, again = (trial.folder / f"prepared-{n}.npz" for n in (1, 2))
     for out in (first, again):
-        trial.training.prepare(trial.scene, trial.inputs, out)
-        if not out.is_file():
-            raise BrokenContractError("prepare wrote no file; write the path that it is given")
+        prepare_scene(trial.name, trial.scene.folder, trial.inputs, out, LIMIT)
+        if reason := failure_of(out):
+            raise BrokenContractError(reason)
     if first.read_bytes() != again.read_bytes():
         raise BrokenContractError(
             "prepare wrote other bytes the second time; it has no randomness, and write_arrays "
@@ -167,9 +168,9 @@ def _check_combine(trial: TrainingTrial) -> None:
     if not isinstance(trial.training, CombinedTraining):
         return
     combined = trial.folder / "combined.npz"
-    trial.training.combine(trial.files, combined)
-    if not combined.is_file():
-        raise BrokenContractError("combine wrote no file; write the path that it is given")
+    combine_files(trial.name, trial.files, combined, LIMIT)
+    if reason := failure_of(combined):
+        raise BrokenContractError(reason)
     trial.inputs = dataclasses.replace(trial.inputs, combined=combined)
 
 

@@ -53,9 +53,9 @@ class MethodInfo:
 
 @dataclass(frozen=True)
 class Budget:
-    """The limits of a fit: `seconds` of wall time (None: as long as the method likes), `threads`.
+    """What a fit keeps to: `seconds` of wall time (None: as long as the method likes), `threads`.
 
-    The method keeps to it; no step is stopped that does not, but its costs show.
+    It is asked, and its costs show whether it does; what ends a fit is the config's limit.
     """
 
     seconds: float | None = None
@@ -80,7 +80,7 @@ class FitReport:
 class Rendering:
     """A synthesised view; depth and support where the method has them."""
 
-    rgb: np.ndarray  # [H, W, 3] float in [0, 1] or uint8
+    rgb: np.ndarray  # [H, W, 3] float in [0, 1] or uint8 (see methods/returned.py)
     depth: np.ndarray | None = None  # [H, W] metres, 0 = none
     support: np.ndarray | None = None  # [H, W] bool: pixels that geometry explains
 

@@ -12,6 +12,12 @@ FAILURE_FILE = "failure.json"
 SECONDS_FILE = "seconds.json"
 """The file that says how long networks in a folder were trained, by training."""
 
+ATTEMPT_FILE = "attempt.json"
+"""The file of a training that was tried again: which attempt it was (see `core.attempts`)."""
+
+UNCOUNTED_FILES = (SECONDS_FILE, ATTEMPT_FILE)
+"""Files beside networks that are no part of a model's size: they differ from run to run."""
+
 GEOMETRY_FILE = "geometry.safetensors"
 """The file of the depth network's weights, beside networks that learned from its depth."""
 

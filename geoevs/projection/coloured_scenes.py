@@ -1,18 +1,25 @@
 """A scene as a source gives it, made a scene store whose LiDAR its own cameras coloured."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from geoevs.core.files import new_folder
 from geoevs.core.progress import counted
+from geoevs.core.stamps import NOTHING, Stamp
 from geoevs.projection import colour_frame
+from geoevs.scenes.checks import check_sensors
 from geoevs.scenes.depths import write_depths
-from geoevs.scenes.scene import SceneRecord
+from geoevs.scenes.scene import Frame, SceneRecord
 from geoevs.scenes.store import write_scene
 
 
 def write_coloured_scene(
-    folder: Path, depths: Path, record: SceneRecord, advance: Callable[[], None]
+    folder: Path,
+    depths: Path,
+    record: SceneRecord,
+    advance: Callable[[], None],
+    made_with: Stamp = NOTHING,
 ) -> None:
     """Write a scene's store and, apart from it, what its source knows of the true depth.
 
@@ -21,8 +28,21 @@ def write_coloured_scene(
         depths: the folder of true depths, whole or not at all; empty where nobody knows them.
         record: the scene; one frame of it is in memory at a time.
         advance: called after each frame, for a progress bar.
+        made_with: what the store says that it was made with.
+
+    Raises:
+        GeoEvsError: something cannot be true of the scene, or its LiDAR cannot score methods or
+            condition them (see `geoevs.scenes.checks`); or nothing can be written.
     """
+
+    def coloured_frame(frame: Frame) -> Frame:
+        coloured = colour_frame(frame)
+        where = f"frame {frame.frame} of scene '{record.info.name}'"
+        check_sensors(record.info.rig, coloured.points, where)
+        return coloured
+
     with new_folder(depths) as partial:
-        coloured = (colour_frame(frame) for frame in counted(record.frames, advance))
+        coloured = (coloured_frame(frame) for frame in counted(record.frames, advance))
         frames = (write_depths(partial, frame) for frame in coloured)
-        write_scene(folder, record.info, record.tracks, frames)
+        info = replace(record.info, made_with=made_with)
+        write_scene(folder, info, record.tracks, frames)

@@ -27,7 +27,7 @@ from geoevs.projection.kernels import (
     zbuffer_torch,
 )
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import Frame, PointCloud
+from geoevs.scenes.scene import MOST_CAMERAS, Frame, PointCloud
 
 if TYPE_CHECKING:
     import torch  # importing it costs seconds, so only those who hold tensors pay
@@ -256,8 +256,13 @@ def colour_points(
         The same points with `rgb` and `camera` set.
 
     Raises:
-        GeoEvsError: an image is missing, or is not of its camera's size.
+        GeoEvsError: an image is missing, or is not of its camera's size; or there are more than
+            MOST_CAMERAS.
     """
+    if len(cameras) > MOST_CAMERAS:
+        raise GeoEvsError(
+            f"{len(cameras)} cameras are too many to colour points; give {MOST_CAMERAS} at most"
+        )
     rgb = np.zeros((len(cloud), 3), np.float32)
     chosen = np.full(len(cloud), -1, np.int8)
     least = np.full(len(cloud), np.inf)

@@ -19,13 +19,13 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.core.files import read_image, to_float
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import ORACLES
 from geoevs.projection import colour_points, project_points, zbuffer
 from geoevs.protocol.entries import OK, MethodEntry, read_outcomes
 from geoevs.protocol.masked_means import MaskedMean
 from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM
+from geoevs.protocol.pictures import read_view
 from geoevs.protocol.stability_scoring import depth_edges
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.run import Answers
@@ -71,14 +71,15 @@ def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> p
 
     Args:
         answers: the scene's.
-        entries: whose renders to judge; failed ones are passed over.
+        entries: whose renders to judge; failed ones, and views, are passed over.
         seed: draws the random pixels.
     """
     folders = [(entry, answers.renders(entry.label)) for entry in entries]
+    endings = [read_outcomes(folder / "render.json").get(ALL_CAMERAS, {}) for _, folder in folders]
     rendered = [
-        (entry, folder)
-        for entry, folder in folders
-        if read_outcomes(folder / "render.json").get(ALL_CAMERAS, {}).get("status") == OK
+        (entry, folder, ending)
+        for (entry, folder), ending in zip(folders, endings, strict=True)
+        if ending.get("status") == OK
     ]
     rows = list(_ceiling(answers.scene))
     for target in answers.targets:
@@ -86,8 +87,10 @@ def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> p
             continue
         rows += _reference_errors(answers, target)
         scores, reads = _halves(answers.scene, target)
-        for entry, folder in rendered:
-            preds = to_float(read_image(folder / f"{target.key}.png"))
+        for entry, folder, ending in rendered:
+            preds, _ = read_view(folder, target, ending)
+            if preds is None:
+                continue
             judged = [
                 *_agreement(answers, target, preds),
                 *_random_support(answers, target, preds, seed),

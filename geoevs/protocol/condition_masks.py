@@ -7,7 +7,7 @@ import numpy as np
 from geoevs.geometry.lift import lidar_depths, lift_frame
 from geoevs.methods.contract import Views
 from geoevs.projection import zbuffer
-from geoevs.protocol.records import Records
+from geoevs.protocol.records import Records, check_array
 from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
@@ -47,6 +47,15 @@ class ConditionMask:
 
     keep: np.ndarray  # [H, W] bool
     reprojected: np.ndarray  # [H, W] bool
+
+    def check(self) -> None:
+        """Check what was read of a file.
+
+        Raises:
+            GeoEvsError: an array is of another type or shape.
+        """
+        check_array(self.keep, "keep", "b", (None, None))
+        check_array(self.reprojected, "reprojected", "b", self.keep.shape)
 
     @property
     def supported(self) -> np.ndarray:

@@ -5,9 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.isolate import begin_part
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, MaskedAdapter, Views
 from geoevs.methods.finding import make_method
+from geoevs.methods.returned import checked_report
+from geoevs.methods.trained import UNCOUNTED_FILES
 from geoevs.protocol.clock import timed
 from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene
@@ -41,12 +44,16 @@ def fit_step(
     Returns:
         Fit seconds without those of compilation, training seconds, primitives, parameters, bytes
         on disk, a note, the method's and ours on compilation, whether it can be asked for masked
-        views, and whether it is random.
+        views, whether it is random, and `clock`, the seconds of the parts that it announced.
+
+    Raises:
+        GeoEvsError: the method's report has a number that cannot be, or it left nothing.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
     views = Views(store, source_cameras(store, sources), adapter.info.needs)
     rng = Rng(seed, store.info.name, method, sources)
+    begin_part("fit")
     try:
         with timed() as spent:
             report = adapter.fit(views, Budget(**budget), rng)
@@ -55,18 +62,28 @@ def fit_step(
         with suppress(Exception):
             adapter.save(Path(folder))
         raise
+    begin_part("save")
+    report = checked_report(report)
     adapter.save(Path(folder))
-    size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+    if not Path(folder).is_dir():
+        raise GeoEvsError("save removed the folder that it was given; write into it")
     notes = [report.note] if report.note else []
     if spent.compiling >= WORTH_A_NOTE:
         notes.append(f"kernels compiled in {spent.compiling:.1f} s, not counted")
     return {
         "fit_seconds": spent.seconds,
         "training_seconds": report.training_seconds,
-        "primitives": int(report.primitives),  # often a NumPy sum, which JSON does not know
-        "parameters": int(report.parameters),
-        "bytes": size,
+        "primitives": report.primitives,
+        "parameters": report.parameters,
+        "bytes": _size(Path(folder)),
         "note": "; ".join(notes),
         "masked": isinstance(adapter, MaskedAdapter),
         "random": rng.used,
+        "clock": {"fit": spent.seconds + spent.compiling},
     }
+
+
+def _size(folder: Path) -> int:
+    """Bytes of a saved method; how long its networks were trained differs from run to run."""
+    files = (path for path in folder.rglob("*") if path.name not in UNCOUNTED_FILES)
+    return sum(path.stat().st_size for path in files if path.is_file())

@@ -5,11 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import encode_arrays, write_files
 from geoevs.core.randomness import Rng
+from geoevs.core.stamps import NOTHING, Stamp
 from geoevs.projection import zbuffer
 from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
-from geoevs.protocol.records import Records, write_records
+from geoevs.protocol.records import Records, check_array, record_arrays
 from geoevs.protocol.targets import ALL_CAMERAS, Target, virtual_targets
+from geoevs.scenes.checks import check_sensors
 from geoevs.scenes.scene import PointCloud
 from geoevs.scenes.store import Scene
 
@@ -32,6 +36,27 @@ class SparseReference:
     footprint: np.ndarray  # [N] bool
     rank: np.ndarray  # [N] float32
     reprojected: np.ndarray  # [H, W] bool
+
+    def check(self) -> None:
+        """Check what was read of a file.
+
+        Raises:
+            GeoEvsError: an array is of another type, shape or range.
+        """
+        check_array(self.reprojected, "reprojected", "b", (None, None))
+        check_array(self.pixels, "pixels", "iu", (None,))
+        count = len(self.pixels)
+        check_array(self.rgb, "rgb", "f", (count, 3))
+        check_array(self.footprint, "footprint", "b", (count,))
+        check_array(self.rank, "rank", "f", (count,))
+        if count and not (
+            self.pixels[0] >= 0
+            and (np.diff(self.pixels.astype(np.int64)) > 0).all()
+            and self.pixels[-1] < self.reprojected.size
+            and min(self.rgb.min(), self.rank.min()) >= 0
+            and max(self.rgb.max(), self.rank.max()) <= 1
+        ):
+            raise GeoEvsError("its pixels, colours or ranks are out of range")
 
     def image(self) -> np.ndarray:
         """(H, W, 3) float32: R of the paper, zero where invalid."""
@@ -77,7 +102,12 @@ def sparse_reference(
 
 
 def write_references(
-    references: Path, masks: Path, scene: Scene, targets: list[Target], seed: int
+    references: Path,
+    masks: Path,
+    scene: Scene,
+    targets: list[Target],
+    seed: int,
+    made_with: Stamp = NOTHING,
 ) -> None:
     """Write a scene's sparse references, and the masks that degrade conditions of masked targets.
 
@@ -90,20 +120,31 @@ def write_references(
         scene: the clean scene.
         targets: all of the scene's.
         seed: decides which pixels a thinned reference keeps.
+        made_with: what both files say that they were made with.
     """
     reprojection = RawReprojection(scene)
-    write_records(references, make_references(scene, targets, reprojection, seed))
-    write_records(masks, make_condition_masks(targets, reprojection))
+    records = {
+        references: make_references(scene, targets, reprojection, seed),
+        masks: make_condition_masks(targets, reprojection),
+    }
+    write_files(
+        {path: encode_arrays(record_arrays(some, made_with)) for path, some in records.items()}
+    )
 
 
 def make_references(
     scene: Scene, targets: list[Target], reprojection: RawReprojection, seed: int
 ) -> dict[str, SparseReference]:
-    """The references of every virtual target, by target key."""
+    """The references of every virtual target, by target key.
+
+    Raises:
+        GeoEvsError: a frame's LiDAR cannot score methods or condition them.
+    """
     references = {}
     virtual = virtual_targets(targets)
     for frame in scene.frames:
         points = scene.points(frame)
+        check_sensors(scene.info.rig, points, f"{scene.folder}: frame {frame}")
         scoring = points.select(scene.info.rig.scores(points))
         for target in (target for target in virtual if target.frame == frame):
             if target.sources != ALL_CAMERAS:

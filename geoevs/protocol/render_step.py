@@ -9,8 +9,10 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import to_uint8, write_image
+from geoevs.core.isolate import begin_part
 from geoevs.methods.contract import MaskedAdapter, Rendering
 from geoevs.methods.finding import method_class
+from geoevs.methods.returned import checked_rgb
 from geoevs.protocol.clock import timed
 from geoevs.protocol.condition_masks import ConditionMasks
 from geoevs.protocol.targets import Target, read_targets
@@ -39,10 +41,15 @@ def render_step(
         warm_up: whether one view is rendered before, which only seconds need.
 
     Returns:
-        The median seconds per view.
+        `load_seconds`, of loading the saved method, and what `render_targets` returns.
     """
     wanted = [target for target in read_targets(Path(targets)) if target.sources == sources]
-    adapter = method_class(method).load(Path(model))
+    kind = method_class(method)
+    begin_part("load")
+    with timed() as spent:
+        adapter = kind.load(Path(model))
+    loaded = {"load_seconds": spent.seconds}
+    clock = {"load": spent.seconds + spent.compiling}
     if not isinstance(adapter, MaskedAdapter):
         wanted = [target for target in wanted if not target.masked]
     stored = ConditionMasks(Path(masks))
@@ -53,7 +60,8 @@ def render_step(
             return adapter.render_masked(target.camera, target.frame, keeps[target.key])
         return adapter.render(target.camera, target.frame)
 
-    return render_targets(render, wanted, Path(folder), warm_up)
+    rendered = render_targets(render, wanted, Path(folder), warm_up)
+    return {**loaded, **rendered, "clock": clock | rendered["clock"]}
 
 
 def render_targets(
@@ -68,31 +76,38 @@ def render_targets(
         warm_up: whether one view is rendered before.
 
     Returns:
-        `render_seconds`, the median a view.
+        `warm_up_seconds`, of the view before (None without), `render_seconds`, the median a view,
+        and `clock`, the seconds of the parts that were announced.
 
     Raises:
-        GeoEvsError: a picture has another size or type, or pixels that are not finite.
+        GeoEvsError: a picture has another size, type or range.
     """
+    before, clock = None, {}
     if warm_up:
-        render(targets[0])
-    seconds = []
+        begin_part("warm-up")
+        with timed() as spent:
+            render(targets[0])
+        before, clock["warm-up"] = spent.seconds, spent.seconds + spent.compiling
+    begin_part("views")
+    seconds, whole = [], 0.0
     for target in targets:
         with timed() as spent:
             rendering = render(target)
+        with timed() as writing:
+            write_image(folder / f"{target.key}.png", _picture(rendering, target))
         seconds.append(spent.seconds)
-        write_image(folder / f"{target.key}.png", _checked(rendering, target))
-    return {"render_seconds": statistics.median(seconds)}
+        whole += sum(part.seconds + part.compiling for part in (spent, writing))
+    begin_part("end")
+    clock["views"] = whole
+    return {
+        "warm_up_seconds": before,
+        "render_seconds": statistics.median(seconds),
+        "clock": clock,
+    }
 
 
-def _checked(rendering: Rendering, target: Target) -> np.ndarray:
-    rgb = np.asarray(rendering.rgb)
-    expected = (target.camera.height, target.camera.width, 3)
-    if rgb.shape != expected:
-        raise GeoEvsError(f"target {target.key} was rendered as {rgb.shape}, not {expected}")
-    if rgb.dtype != np.uint8 and not np.issubdtype(rgb.dtype, np.floating):
-        raise GeoEvsError(
-            f"target {target.key} was rendered as {rgb.dtype}; give uint8, or floats in [0, 1]"
-        )
-    if not np.isfinite(rgb).all():
-        raise GeoEvsError(f"target {target.key} was rendered with NaN or infinite pixels")
-    return to_uint8(rgb)
+def _picture(rendering: Rendering, target: Target) -> np.ndarray:
+    try:
+        return to_uint8(checked_rgb(rendering, target.camera))
+    except GeoEvsError as error:
+        raise GeoEvsError(f"target {target.key}: {error}") from None

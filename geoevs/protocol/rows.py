@@ -45,6 +45,8 @@ COST_TYPES = {
     "sources": "string",
     "fit_seconds": "float64",
     "training_seconds": "float64",
+    "load_seconds": "float64",
+    "warm_up_seconds": "float64",
     "render_seconds": "float64",
     "peak_memory": "int64",
     "gpu_memory": "int64",

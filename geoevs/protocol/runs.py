@@ -5,14 +5,19 @@ A fit leaves `<folder>/<sources>/model/` and `<folder>/fit.json`; a render leave
 what it cost or at which stage and why it failed.
 """
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from geoevs.core.attempts import attempt_after
 from geoevs.core.files import new_folder, write_json
+from geoevs.core.isolate import MACHINE, MethodFailedError, Usage, absolute_paths, run_isolated
+from geoevs.core.text import clean
 from geoevs.methods.contract import ORACLES, Budget
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, failed, read_outcomes
-from geoevs.protocol.isolate import MethodFailedError, Usage, run_isolated
+from geoevs.protocol.pictures import PICTURES, seal_pictures
+from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import read_targets
 
 # Named, not imported: no step's code counts for the others when the workflow hashes it.
@@ -20,11 +25,35 @@ FIT_STEP = "geoevs.protocol.fit_step:fit_step"
 RENDER_STEP = "geoevs.protocol.render_step:render_step"
 ORACLE_STEP = "geoevs.protocol.oracle:oracle_step"
 
+CLOCK_SECONDS, CLOCK_SHARE = 2.0, 0.1
+"""How far the seconds that a step's process tells may be off the runner's clock."""
+
 
 def fit_method(
-    entry: MethodEntry, scene: Path, targets: Path, budget: Budget, folder: Path, log: Path
+    entry: MethodEntry,
+    scene: Path,
+    targets: Path,
+    budget: Budget,
+    folder: Path,
+    log: Path,
+    limit: float | None = None,
+    attempt: int = 0,
 ) -> None:
-    """Fit a method once for every set of sources that the targets use, and record the outcome."""
+    """Fit a method once for every set of sources that the targets use, and record the outcome.
+
+    Args:
+        entry: the method, or one of ORACLES.
+        scene: the scene store.
+        targets: the scene's target list.
+        budget: what the fit is asked to keep to.
+        folder: what to write, whole or not at all.
+        log: where the method's own output goes.
+        limit: seconds after which a fit is ended; None: never.
+        attempt: the number of this attempt (see `core.attempts`).
+
+    Raises:
+        GeoEvsError: the target list is damaged, or the folder cannot be written.
+    """
     log.unlink(missing_ok=True)
     with new_folder(folder) as partial:
         outcomes = {}
@@ -33,21 +62,25 @@ def fit_method(
             model.mkdir(parents=True)
             if entry.method in ORACLES:
                 nothing = {"fit_seconds": 0.0, "bytes": 0, "masked": True}
-                outcomes[sources] = _succeeded(nothing, Usage(0, 0), budget.threads)
+                threads = {"threads": budget.threads, "attempt": attempt}
+                outcomes[sources] = {**FINE, **threads, **_memory(Usage(0, 0)), **nothing}
                 continue
             arguments = {
-                "scene": str(scene),
+                "scene": str(scene.absolute()),
                 "method": entry.method,
-                "options": entry.options,
+                "options": absolute_paths(entry.options),
                 "seed": entry.seed,
                 "sources": sources,
                 "budget": asdict(budget),
-                "folder": str(model),
+                "folder": str(model.absolute()),
             }
-            outcome = _attempt("fit", FIT_STEP, arguments, budget.threads, log)
-            if outcome["status"] == FAILED and any(model.iterdir()):
+            outcome = _attempt("fit", FIT_STEP, arguments, budget.threads, log, limit, attempt)
+            if outcome["status"] == FAILED and model.is_dir() and any(model.iterdir()):
                 outcome["reason"] += f"; what it saved is in {folder / sources / 'model'}"
             outcomes[sources] = outcome
+        for sources, outcome in outcomes.items():  # one fit may have removed another's model
+            if outcome["status"] != FAILED and not (partial / sources / "model").is_dir():
+                outcome |= failed("fit", "the folder with the saved method was removed", log)
         write_json(partial / "fit.json", outcomes)
 
 
@@ -59,6 +92,8 @@ def render_method(
     folder: Path,
     log: Path,
     answers: dict[str, str] | None = None,
+    limit: float | None = None,
+    attempt: int = 0,
 ) -> None:
     """Render all targets with a fitted method; a set of sources whose fit failed stays failed.
 
@@ -70,38 +105,90 @@ def render_method(
         folder: what to write, whole or not at all.
         log: where the method's own output goes.
         answers: `run`, `dataset` and `scene` of its Answers, which oracles alone are told.
+        limit: seconds after which the rendering of one set of sources is ended; None: never.
+        attempt: the number of this attempt (see `core.attempts`).
+
+    Raises:
+        GeoEvsError: the fit's outcome or the target list is damaged, or nothing can be written.
     """
     log.unlink(missing_ok=True)
     fits = read_outcomes(model / "fit.json")
+    listed = read_targets(targets)
     with new_folder(folder) as partial:
         outcomes = {}
         for sources, fit in fits.items():
+            fit = {key: value for key, value in fit.items() if key != "limit"}
             if fit["status"] == FAILED:
-                outcomes[sources] = fit
+                outcomes[sources] = {**fit, "attempt": attempt}
                 continue
-            step, read = RENDER_STEP, {"targets": str(targets), "masks": str(masks)}
-            read["model"] = str(model / sources / "model")
+            step, read = RENDER_STEP, {"targets": targets, "masks": masks}
+            read["model"] = model / sources / "model"
             if entry.method in ORACLES:
-                step, read = ORACLE_STEP, answers
-            arguments = {"method": entry.method, "sources": sources, "folder": str(partial), **read}
-            rendered = _attempt("render", step, arguments, fit["threads"], log)
+                step, read = ORACLE_STEP, {**answers, "run": Path(answers["run"])}
+            arguments = {"method": entry.method, "sources": sources, "folder": partial, **read}
+            arguments = {
+                name: str(value.absolute()) if isinstance(value, Path) else value
+                for name, value in arguments.items()
+            }
+            rendered = _attempt("render", step, arguments, fit["threads"], log, limit, attempt)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
+        for sources, outcome in outcomes.items():  # when nobody writes any more
+            if outcome["status"] != FAILED:
+                views = [target for target in listed if target.sources == sources]
+                outcome[PICTURES] = seal_pictures(partial, views)
         write_json(partial / "render.json", outcomes)
 
 
 def _attempt(
-    stage: str, step: str, arguments: dict[str, Any], threads: int, log: Path
+    stage: str,
+    step: str,
+    arguments: dict[str, Any],
+    threads: int,
+    log: Path,
+    limit: float | None,
+    attempt: int,
 ) -> dict[str, Any]:
     try:
-        result, usage = run_isolated(step, arguments, threads, log)
+        result, usage = run_isolated(step, arguments, threads, log, limit)
+        told = _checked(result, usage)
     except MethodFailedError as failure:
-        return {**failed(stage, str(failure), log), "threads": threads, **asdict(Usage(0, 0))}
-    return _succeeded(result, usage, threads)
+        outcome = {**failed(stage, str(failure), log), "threads": threads, **_memory(Usage(0, 0))}
+        outcome["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
+        return outcome if failure.limit is None else {**outcome, "limit": failure.limit}
+    return {**FINE, "threads": threads, "attempt": attempt, **_memory(usage), **told}
 
 
-def _succeeded(result: dict[str, Any], usage: Usage, threads: int) -> dict[str, Any]:
-    return {**FINE, "threads": threads, **asdict(usage), **result}
+def _memory(usage: Usage) -> dict[str, int]:
+    return {"peak_memory": usage.peak_memory, "gpu_memory": usage.gpu_memory}
+
+
+def _checked(result: Any, usage: Usage) -> dict[str, Any]:
+    """What a step told, if it can be: numbers that are, and seconds by the runner's clock.
+
+    Raises:
+        MethodFailedError: it cannot.
+    """
+    if not isinstance(result, dict) or not isinstance(result.get("clock", {}), dict):
+        raise MethodFailedError("its answer has another form than it should have")
+    told = {name: value for name, value in result.items() if name != "clock"}
+    for name, kind in COST_TYPES.items():
+        value = told.get(name)
+        if value is None:
+            continue
+        number = type(value) in (int, float) and math.isfinite(value) and 0 <= value < 2**63
+        if (kind == "string") != isinstance(value, str) or (kind != "string" and not number):
+            raise MethodFailedError(f"it told {clean(str(value), 40)} as its {name}")
+        if kind == "string":
+            told[name] = clean(value)
+    for part, seconds in result.get("clock", {}).items():
+        true = usage.parts.get(part)
+        seconds = float(seconds) if isinstance(seconds, (int, float)) else math.nan
+        off = CLOCK_SECONDS + CLOCK_SHARE * (true or 0.0)
+        if true is None or not abs(seconds - true) <= off:
+            took = "was never begun" if true is None else f"took {true:.3g} s by the runner's clock"
+            raise MethodFailedError(f"it told {seconds:.3g} s for '{part}', which {took}")
+    return told
 
 
 def _source_sets(targets: Path) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, cause, read_outcomes
 from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.pictures import read_view
 from geoevs.protocol.regions import Answer
 from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import Target
@@ -23,7 +23,7 @@ THINNED_METRICS = ("sparse_psnr", "sparse_ssim", "sparse_ssim_zero_fill", "spars
 def score_method(
     entry: MethodEntry, answers: Answers, keeps: list[float], fingerprint: str
 ) -> list[dict[str, Any]]:
-    """Score every target of a scene; a failed render gives rows that say so.
+    """Score every target of a scene; a render or a view that failed gives rows that say so.
 
     Methods without a condition map have no rows of masked targets, unless their fit failed: then
     nobody could ask them.
@@ -49,8 +49,7 @@ def score_method(
         outcome = outcomes[target.sources]
         if target.masked and not outcome.get("masked", True):
             continue
-        failed = outcome["status"] == FAILED
-        preds = None if failed else to_float(read_image(renders / f"{target.key}.png"))
+        preds, outcome = read_view(renders, target, outcome)
         described = {**common, **describe(entry, target), **cause(outcome)}
         regions = answers.regions(target, main)
         names = [name for name, spec in METRICS.items() if spec.region in regions]
@@ -113,6 +112,8 @@ def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
         "training_seconds": math.nan,
+        "load_seconds": math.nan,
+        "warm_up_seconds": math.nan,
         "render_seconds": math.nan,
         "note": "",
     }

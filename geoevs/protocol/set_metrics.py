@@ -118,7 +118,13 @@ def kernel_distance(
     frames: np.ndarray,  # [N]
     confidence: float,
 ) -> Estimate:
-    """KID (Binkowski et al. 2018): `unbiased_mmd` of the kernel k(x, y) = (x . y / D + 1)^3."""
+    """KID (Binkowski et al. 2018): `unbiased_mmd` of the kernel k(x, y) = (x . y / D + 1)^3.
+
+    It is torch-fidelity's estimator `u-statistic`, of all pairs at once. Papers report its default
+    `unbiased`, which keeps the terms k(xi, yi) and averages over subsets: some per cent off, and
+    for close sets of another sign. Those terms are of a view and its own truth, so here, where the
+    sets are paired, they would reward copies.
+    """
 
     def cubic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return (a @ b.T / a.shape[1] + 1) ** 3

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoevs.core.files import read_image, to_float
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.pictures import read_view
 from geoevs.protocol.set_metrics import SET_METRICS, SetMetric, real_floor, standardise
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.run import Answers
@@ -57,11 +57,10 @@ def score_sets(
             dense = answers.truth(target)
             if dense is None:
                 continue
-            outcome = outcomes[target.sources]
-            if outcome["status"] == FAILED:
+            rendered, outcome = read_view(renders, target, outcomes[target.sources])
+            if rendered is None:
                 failures[target.split].append(outcome["reason"])
                 continue
-            rendered = to_float(read_image(renders / f"{target.key}.png"))
             pairs[target.split].append((f"{scene}/{target.frame:06d}", rendered, dense))
     identity = {"method": entry.method, "variant": entry.variant, "seed": entry.seed}
     return [

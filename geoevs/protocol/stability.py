@@ -1,16 +1,20 @@
 """The stability suite: its targets, its stresses, and rendering one method under all of them."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.files import new_folder, write_json
-from geoevs.protocol.entries import MethodEntry, failed
-from geoevs.protocol.isolate import MethodFailedError, run_isolated
+from geoevs.core.attempts import attempt_after
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import new_folder, read_json, write_json
+from geoevs.core.isolate import MACHINE, MethodFailedError, absolute_paths, run_isolated
+from geoevs.core.text import clean
+from geoevs.protocol.entries import FAILED, FINE, OK, MethodEntry, failed
+from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.stressors import STRESSORS, stressor_named
-from geoevs.protocol.targets import ALL_CAMERAS, Target
+from geoevs.protocol.targets import ALL_CAMERAS, Target, check_distinct, read_targets
 from geoevs.scenes.camera import Camera, angle_between
 from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
@@ -23,6 +27,8 @@ WORLD = "~"
 """Separator of a scene's name and the option of its source that makes it another world."""
 
 OUTCOME_FILE = "outcome.json"
+
+STABILITY_STEP = "geoevs.protocol.stability_step:stability_step"
 
 
 @dataclass(frozen=True)
@@ -135,6 +141,7 @@ def stability_targets(scene: Scene, settings: dict[str, Any]) -> list[Target]:
             for angle in levels_of("yaw", settings):
                 turned = virtual_camera(front, camera, angle, 0.0, f"{side}-{angle:g}deg")
                 targets.append(_target("yaw", frame, turned, front, 0.0))
+    check_distinct([target.key for target in targets], f"scene '{scene.info.name}'")
     return targets
 
 
@@ -150,6 +157,8 @@ def render_stresses(
     masks: Path,
     folder: Path,
     log: Path,
+    limits: Mapping[str, float | None] | None = None,
+    attempt: int = 0,
 ) -> None:
     """Fit and render a method under every stress of one group.
 
@@ -165,30 +174,65 @@ def render_stresses(
         masks: the scene's condition masks.
         folder: what to write, whole or not at all.
         log: where the method's own output goes.
+        limits: seconds after which a `fit` or a `render` is ended, and all stresses that are left
+            fail with it; None: never.
+        attempt: the number of this attempt (see `core.attempts`).
     """
     log.unlink(missing_ok=True)
+    limits = {"fit": None, "render": None, **(limits or {})}
+    splits = None if scenes[0][0].stressor == CLEAN else ["extrapolation"]
     with new_folder(folder) as partial:
         arguments = {
             "method": entry.method,
-            "options": entry.options,
+            "options": absolute_paths(entry.options),
             "stresses": [
-                {"key": stress.key, "scene": str(scene), "seed": entry.seed + stress.draw}
+                {
+                    "key": stress.key,
+                    "scene": str(scene.absolute()),
+                    "seed": entry.seed + stress.draw,
+                }
                 for stress, scene in scenes
             ],
-            "targets": str(targets),
-            "splits": None if scenes[0][0].stressor == CLEAN else ["extrapolation"],
-            "masks": str(masks),
-            "folder": str(partial),
+            "targets": str(targets.absolute()),
+            "splits": splits,
+            "masks": str(masks.absolute()),
+            "folder": str(partial.absolute()),
             "log": str(log),
+            "limits": {stage: limits[stage] for stage in ("fit", "render")},
+            "attempt": attempt,
         }
+        rest = failed("fit or render", "its process said nothing of it", log)
+        rest["attempt"] = attempt
         try:
-            run_isolated("geoevs.protocol.stability_step:stability_step", arguments, 1, log)
+            run_isolated(STABILITY_STEP, arguments, 1, log, limits["fit"])
         except MethodFailedError as failure:  # the process died in one of them
-            for stress, _ in scenes:
-                path = partial / stress.key / OUTCOME_FILE
-                if not path.exists():
-                    path.parent.mkdir(exist_ok=True)
-                    write_json(path, failed("fit or render", str(failure), log))
+            rest = failed("fit or render", str(failure), log)
+            rest["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
+            if failure.limit is not None:
+                stage = next((n for n in ("fit", "render") if limits[n] == failure.limit), "fit")
+                rest |= {"stage": stage, "limit": failure.limit}
+        views = [t for t in read_targets(targets) if splits is None or t.split in splits]
+        for stress, _ in scenes:
+            place = partial / stress.key
+            outcome = _outcome(place / OUTCOME_FILE) or rest
+            if outcome["status"] == OK:
+                outcome = {**outcome, PICTURES: seal_pictures(place, views)}
+            place.mkdir(exist_ok=True)
+            write_json(place / OUTCOME_FILE, outcome)
+
+
+def _outcome(path: Path) -> dict[str, Any] | None:
+    """What the step wrote down of one stress; None if it did not come so far."""
+    if not path.is_file():
+        return None
+    try:
+        told = read_json(path)
+    except GeoEvsError:
+        return None
+    shape = isinstance(told, dict) and told.keys() >= {*FINE, "attempt"}
+    if not shape or told["status"] not in (OK, FAILED) or type(told["attempt"]) is not int:
+        return None
+    return {**{key: clean(str(told[key])) for key in FINE}, "attempt": told["attempt"]}
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:

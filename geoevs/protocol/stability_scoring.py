@@ -9,10 +9,11 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.core.files import read_image, read_json, to_float
+from geoevs.core.files import read_json
 from geoevs.geometry.moving import pixels_in_boxes
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
 from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.pictures import read_view
 from geoevs.protocol.regions import Answer
 from geoevs.protocol.rows import protocol_fingerprint, score_frame
 from geoevs.protocol.scoring import describe, score_regions
@@ -62,9 +63,8 @@ def score_stresses(
         for target in world.targets:
             if group != CLEAN and target.split != "extrapolation":
                 continue
-            failed = outcome["status"] == FAILED
-            preds = None if failed else to_float(read_image(folder / f"{target.key}.png"))
-            shared = {**common, **describe(entry, target), **cause(outcome), "seed": stress.draw}
+            preds, ending = read_view(folder, target, outcome)
+            shared = {**common, **describe(entry, target), **cause(ending), "seed": stress.draw}
             for columns, names, regions in _questions(stress, world, clean, target, settings):
                 scores = score_regions(names, preds, regions)
                 rows += [{**shared, **columns, **score} for score in scores]
@@ -163,14 +163,17 @@ def _spread_rows(
 ) -> list[dict[str, Any]]:
     """SPREADS of the half-way targets; none where a draw failed or there is one draw alone."""
     folders = [renders / stress.key for stress in stresses(CLEAN, settings)]
-    endings = [read_json(folder / OUTCOME_FILE)["status"] for folder in folders]
-    if len(folders) < 2 or FAILED in endings:
+    endings = [read_json(folder / OUTCOME_FILE) for folder in folders]
+    if len(folders) < 2 or any(ending["status"] == FAILED for ending in endings):
         return []
     rows = []
     for target in clean.targets:
         if target.split != "extrapolation":
             continue
-        pictures = [to_float(read_image(folder / f"{target.key}.png")) for folder in folders]
+        drawn = zip(folders, endings, strict=True)
+        pictures = [read_view(folder, target, ending)[0] for folder, ending in drawn]
+        if any(picture is None for picture in pictures):
+            continue
         spread = np.std(pictures, axis=0, ddof=1).mean(axis=2)
         supported = clean.reference(target).reprojected
         for name, region in zip(SPREADS, (supported, ~supported), strict=True):

@@ -6,8 +6,10 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+from geoevs.core.attempts import attempt_after
 from geoevs.core.errors import reason_of
 from geoevs.core.files import write_json
+from geoevs.core.isolate import MACHINE, begin_part, is_machine_fault
 from geoevs.protocol.entries import FINE, failed
 from geoevs.protocol.fit_step import fit_step
 from geoevs.protocol.render_step import render_step
@@ -24,6 +26,8 @@ def stability_step(
     masks: str,
     folder: str,
     log: str,
+    limits: dict[str, float | None],
+    attempt: int,
 ) -> None:
     """Fit and render under each stress in turn; one that fails says so, and the next one is tried.
 
@@ -38,6 +42,8 @@ def stability_step(
         masks: the scene's condition masks.
         folder: where `<key>/<target key>.png` and `<key>/outcome.json` go.
         log: where this process' output goes; outcomes name it.
+        limits: seconds that each `fit` and each `render` may take; None: as long as they like.
+        attempt: the number of this attempt (see `core.attempts`).
     """
     with tempfile.TemporaryDirectory() as scratch:
         target_list = Path(scratch) / "targets.json"
@@ -50,19 +56,24 @@ def stability_step(
                 shutil.copytree(certain[stress["scene"]], place)
                 continue
             place.mkdir()
-            outcome = FINE
+            outcome = {**FINE, "attempt": attempt}
             stage = "fit"
             try:
+                begin_part(stage, limit=limits[stage])
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
                     budget = {"seconds": None, "threads": 1}
                     arguments = (stress["seed"], ALL_CAMERAS, budget, model)
                     fit = fit_step(stress["scene"], method, options, *arguments)
                     stage = "render"
+                    begin_part(stage, limit=limits[stage])
                     views = (str(target_list), ALL_CAMERAS)
                     render_step(method, *views, model, masks, str(place), warm_up=False)
                 if not fit["random"]:
                     certain[stress["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
-                outcome = failed(stage, reason_of(error), log)
+                fault = is_machine_fault(error)
+                reason = f"{MACHINE}: {reason_of(error)}" if fault else reason_of(error)
+                outcome = failed(stage, reason, log)
+                outcome["attempt"] = attempt_after(attempt, fault)
             write_json(place / OUTCOME_FILE, outcome)

@@ -1,13 +1,19 @@
 """Target poses of every split, and the sources each one allows (paper sections 4.1 to 4.4)."""
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, write_json
+from geoevs.core.names import check_name
 from geoevs.core.randomness import Rng
+from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
+from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, angle_between, view_key
+from geoevs.scenes.checks import frame_number, number
 from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
@@ -19,6 +25,17 @@ target whose view it shares."""
 
 RECORDED_SPLITS = ("observed", "interpolation", f"{MASKED}observed")
 """Splits whose targets a camera recorded, so that its image is dense truth."""
+
+SPLITS = (
+    *RECORDED_SPLITS,
+    *("extrapolation", f"{MASKED}extrapolation", "pose-sweep"),
+    *("lateral", "yaw"),  # of stability
+)
+TARGET_FIELDS = (
+    *("split", "frame", "name", "sources", "pose_offset", "lateral_shift"),
+    "mask_camera",
+)
+"""What stands in a file of a target besides its camera's calibration."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +114,9 @@ def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
     """Every target of a scene under the config's `protocol` section, in a fixed order.
 
     The seed draws which virtual pose masks which target.
+
+    Raises:
+        GeoEvsError: two targets of a frame have one name, or a pose cannot be made.
     """
     rig = scene.info.rig
     targets: list[Target] = []
@@ -116,10 +136,27 @@ def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
             targets += _pose_sweep(front, sides, frame, protocol)
         if position % protocol["masked"]["every"] == 0:
             poses = list(_mask_poses(front, sides, protocol["masked"]))
+            check_distinct([pose.name for pose in poses], f"scene '{scene.info.name}'")
             for target in (*observed, *extrapolation):
                 rng = Rng(seed, "mask", scene.info.name, target.key).numpy
                 targets.append(_masked(target, poses[rng.integers(len(poses))]))
+    check_distinct([target.key for target in targets], f"scene '{scene.info.name}'")
     return targets
+
+
+def check_distinct(names: Iterable[str], where: Path | str) -> None:
+    """Check the names of targets, or of their masks, which say their pose and name their files.
+
+    Raises:
+        GeoEvsError: two are the same.
+    """
+    counts = Counter(names)
+    name, count = max(counts.items(), key=lambda item: item[1], default=("", 0))
+    if count > 1:
+        raise GeoEvsError(
+            f"{where} has {count} targets or masks called '{clean(name, 80)}', whose files would "
+            "overwrite each other; choose shifts and angles that differ in their first six digits"
+        )
 
 
 def _extrapolation(
@@ -162,8 +199,11 @@ def _target(split: str, frame: int, camera: Camera, front: Camera, shift: float)
     return Target(split, frame, camera, ALL_CAMERAS, offset, shift)
 
 
-def write_targets(path: Path, targets: list[Target]) -> None:
-    """Write targets as JSON, cameras in nerfstudio's fields, whole or not at all."""
+def write_targets(path: Path, targets: list[Target], made_with: Stamp = NOTHING) -> None:
+    """Write targets as JSON, cameras in nerfstudio's fields, whole or not at all.
+
+    Each says what the list was made with.
+    """
     entries = [
         {
             "split": target.split,
@@ -174,6 +214,7 @@ def write_targets(path: Path, targets: list[Target]) -> None:
             "lateral_shift": target.lateral_shift,
             "mask_camera": _optional_to_json(target.mask_camera),
             **camera_to_json(target.camera),
+            MADE_WITH: dict(made_with),
         }
         for target in targets
     ]
@@ -184,30 +225,53 @@ def _optional_to_json(camera: Camera | None) -> dict | None:
     return None if camera is None else {"name": camera.name, **camera_to_json(camera)}
 
 
-def _optional_from_json(entry: dict | None, path: Path) -> Camera | None:
-    return None if entry is None else camera_from_json(entry, entry["name"], path)
-
-
 def read_targets(path: Path) -> list[Target]:
     """Read what `write_targets` wrote.
 
     Raises:
-        GeoEvsError: the file is missing or not a target list.
+        GeoEvsError: the file is missing, not a target list, or has a target that cannot be: see
+            `camera_from_json`, and a name that is no path's part or that another one has.
     """
-    try:
-        return [
-            Target(
-                entry["split"],
-                entry["frame"],
-                camera_from_json(entry, entry["name"], path),
-                entry["sources"],
-                entry["pose_offset"],
-                entry["lateral_shift"],
-                _optional_from_json(entry["mask_camera"], path),
+    entries = read_json(path)
+    if not isinstance(entries, list):
+        raise GeoEvsError(f"{path} is no target list (no list at all); delete it and make it again")
+    targets = [_target_from_json(entry, path) for entry in entries]
+    check_distinct([target.key for target in targets], path)
+    return targets
+
+
+def _target_from_json(entry: Any, path: Path) -> Target:
+    _check_fields(entry, TARGET_FIELDS, path)
+    for field, words in (("split", SPLITS), ("sources", (ALL_CAMERAS, FRONT_SIDE))):
+        if entry[field] not in words:
+            hint = did_you_mean(clean(str(entry[field]), 40), words)
+            raise GeoEvsError(
+                f"{path}: there is no {field} '{clean(str(entry[field]), 40)}'; {hint}"
             )
-            for entry in read_json(path)
-        ]
-    except (KeyError, TypeError) as error:
+    name = check_name(entry["name"], "target", path)
+    masking = entry["mask_camera"]
+    if (masking is not None) != entry["split"].startswith(MASKED):
         raise GeoEvsError(
-            f"{path} is no target list ({error}); delete it and make it again"
-        ) from error
+            f"{path}: target '{name}' must have a mask_camera if its split begins with {MASKED}, "
+            "and else null; make the file again"
+        )
+    if masking is not None:
+        _check_fields(masking, ("name",), path)
+        masking = camera_from_json(masking, check_name(masking["name"], "mask camera", path), path)
+    return Target(
+        split=entry["split"],
+        frame=frame_number(entry["frame"], path),
+        camera=camera_from_json(entry, name, path),
+        sources=entry["sources"],
+        pose_offset=number(entry["pose_offset"], "a pose_offset", path),
+        lateral_shift=number(entry["lateral_shift"], "a lateral_shift", path),
+        mask_camera=masking,
+    )
+
+
+def _check_fields(entry: Any, fields: Sequence[str], path: Path) -> None:
+    for field in fields:
+        if not isinstance(entry, dict) or field not in entry:
+            raise GeoEvsError(
+                f"{path} is no target list (one lacks '{field}'); delete it and make it again"
+            )

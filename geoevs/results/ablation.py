@@ -11,10 +11,11 @@ from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.entries import FAILED
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import PAIR, paired_difference, summarise
-from geoevs.results.entrants import Entrants
+from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
 from geoevs.results.paper import paper_values
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import MARK, MARKED, VIEW, lacking
 
 FULL = DEFAULT
 """The variant that is the full model."""
@@ -29,13 +30,16 @@ MEASURES = (
 """Split and metric of every column; the paper has the first alone. All are in dB."""
 
 TITLE = "Ablation: masks in training (paper table 4)"
-LEGEND = """First table: mean [bootstrap interval over frames within scenes], dB. Second table: the
+LEGEND = f"""First table: mean [bootstrap interval over frames within scenes], dB. Second table: the
 full model minus the variant, paired by scene, frame, target and training seed [bootstrap interval
 over frames within scenes and over seeds]; bold where the interval leaves out zero. Third table:
 standard deviation over training seeds of a seed's mean. `paper` = printed in the paper, measured
 there on Waymo. Masked views: `supported` pixels are left in the degraded condition, `removed` ones
 were hidden by the mask, `never` ones had no support before it, and `unsupported` are those two
 together. Empty = not run, or not measurable here.
+{MARKED}
+Differences
+and spreads are of the views that all compared delivered.
 """
 
 
@@ -52,9 +56,11 @@ def make_ablation_table(
     Returns:
         Columns `dataset`, `variant`, `seeds` (how many), and for every measure (see `column_name`)
         its mean, `_low` and `_high`, of the paired difference full model minus variant `_diff`,
-        `_diff_low` and `_diff_high`, and `_seed_sd`, the standard deviation of the seeds' means;
-        `_paper` where the paper has it; `failed` views, `note`, `method`, and the entrant's
-        `name`, `paradigm`, `extra_prior` and `needs`.
+        `_diff_low` and `_diff_high`, and `_seed_sd`, the standard deviation of the seeds' means
+        over the views that all of them delivered;
+        `_paper` where the paper has it; `failed` views, `partial` (measures whose mean lacks views
+        that other variants have), `note`, `method`, and the entrant's `name`, `paradigm`,
+        `extra_prior` and `needs`.
         A data set without any variant has one row that says so.
 
     Raises:
@@ -93,7 +99,11 @@ def _row(rows: pd.DataFrame, variant: str, settings: TableSettings) -> dict[str,
     of_variant, full = (rows[rows["variant"] == name] for name in (variant, FULL))
     summary = summarise(of_variant, ["split", "metric"], *settings.bootstrap)
     summary = summary.set_index(["split", "metric"])
+    missing = lacking(rows, [*ENTRANT, "split", "metric"])
+    missing = missing[(missing["variant"] == variant) & (missing["lacking"] > 0)]
+    missing = set(missing[["split", "metric"]].itertuples(index=False, name=None))
     row: dict[str, Any] = {"variant": variant, "seeds": of_variant["seed"].nunique()}
+    partial = []
     pairs = 0
     printed = paper_values("ablation").get(settings.ablation)
     for split, metric in MEASURES:
@@ -102,16 +112,26 @@ def _row(rows: pd.DataFrame, variant: str, settings: TableSettings) -> dict[str,
             row[f"{name}_paper"] = printed.get(variant, {}).get(metric, math.nan)
         for suffix, column in (("", "mean"), ("_low", "low"), ("_high", "high")):
             row[name + suffix] = summary[column].get((split, metric), math.nan)
+        if (split, metric) in missing and not math.isnan(row[name]):
+            partial.append(name)
         others = _of(of_variant, split, metric) if variant != FULL else of_variant[:0]
         difference = paired_difference(_of(full, split, metric), others, *settings.bootstrap)
         row[f"{name}_diff"] = difference.mean
         row[f"{name}_diff_low"], row[f"{name}_diff_high"] = difference.low, difference.high
-        by_seed = _of(of_variant, split, metric).groupby("seed")["value"]
-        row[f"{name}_seed_sd"] = by_seed.mean().std()
+        row[f"{name}_seed_sd"] = _seed_spread(_of(of_variant, split, metric))
         pairs += difference.pairs
     row["failed"] = len(of_variant[of_variant["status"] == FAILED].drop_duplicates(PAIR))
+    row["partial"] = " ".join(partial)
     row["note"] = _note(settings.ablation, variant, row["failed"], pairs)
     return row
+
+
+def _seed_spread(rows: pd.DataFrame) -> float:
+    """The standard deviation of the seeds' means over the views that all seeds have a value of."""
+    rows = rows[rows["value"].notna()]
+    views = [rows[name] for name in VIEW]
+    whole = rows.groupby(views, dropna=False)["seed"].transform("nunique") == rows["seed"].nunique()
+    return float(rows[whole].groupby("seed")["value"].mean().std())
 
 
 def _of(rows: pd.DataFrame, split: str, metric: str) -> pd.DataFrame:
@@ -186,7 +206,8 @@ def _grid(
 
 
 def _score(row: dict[str, Any], name: str) -> str:
-    return with_interval("{:.2f}", row[name], row[f"{name}_low"], row[f"{name}_high"])
+    text = with_interval("{:.2f}", row[name], row[f"{name}_low"], row[f"{name}_high"])
+    return f"{text} {MARK}" if name in row["partial"].split() else text
 
 
 def _paper_score(row: dict[str, Any], name: str) -> str:

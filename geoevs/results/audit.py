@@ -12,6 +12,7 @@ from geoevs.protocol.entries import FLOOR
 from geoevs.results.bootstrap import redraw, summarise
 from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import lacking
 
 FRAME = ["scene", "frame"]
 AGREEMENT_COLUMNS = [
@@ -27,6 +28,7 @@ AGREEMENT_COLUMNS = [
     "tau_high",
     "gap",
     "entrants",
+    "left_out",
 ]
 AGREED = 0.95
 """The share of frames in which two methods' order must hold before a gap counts as trusted."""
@@ -57,12 +59,15 @@ def agreement(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
         all entrants, and `tau`, Kendall's rank correlation of the entrants' means, both with the
         ends of their intervals over frames; `gap`, the least difference of two entrants in one
         frame from which on the dense metric gives the same order in AGREED of the cases (NaN where
-        none does), and `entrants`. Oracles are left out.
+        none does), and `entrants`. Oracles are left out, and `left_out` counts who else is, for
+        want of a view that others have.
     """
     rows = rows[(rows["part"] == "agreement") & ~rows["method"].isin(ORACLES)]
     table = []
     by = ["dataset", "metric", "share"]
-    for key, group in rows.groupby(by, sort=False):
+    for key, everyone in _with_lacking(rows, [*by, *ENTRANT[1:]]).groupby(by, sort=False):
+        group = everyone[everyone["lacking"] == 0]
+        partial = everyone.loc[everyone["lacking"] > 0, ENTRANT[1:]].drop_duplicates()
         sparse, dense, scenes = _frame_means(group)
         bias, tau = _resampled(sparse, dense, scenes, settings, _bias, _tau)
         table.append(
@@ -73,14 +78,27 @@ def agreement(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
                 **_named("tau", tau),
                 "gap": _trusted_gap(sparse, dense),
                 "entrants": sparse.shape[1],
+                "left_out": len(partial),
             }
         )
     return pd.DataFrame(table, columns=AGREEMENT_COLUMNS)
 
 
+def _with_lacking(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Rows with what their entrant lacks (see `lacking`); what is not finite is no value.
+
+    Seeds have no column in these rows, but a row each.
+    """
+    finite = np.isfinite(rows["value"]) & np.isfinite(rows["dense"])
+    view = [*FRAME, "target"]
+    rows = rows.assign(value=rows["value"].where(finite), status="")
+    rows["seed"] = rows.groupby([*dict.fromkeys([*by, "share", "metric"]), *view]).cumcount()
+    return rows.merge(lacking(rows, by, view=view), on=by, how="left")
+
+
 def _frame_means(group: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sparse and dense means, (F, M) each by frame and entrant, and (F,) scenes."""
-    finite = group[np.isfinite(group["value"]) & np.isfinite(group["dense"])]
+    finite = group[group["value"].notna()]
     if finite.empty:  # SSIM has no window with enough pixels at the lowest share
         return np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, object)
     cells = finite.pivot_table(["value", "dense"], FRAME, ["method", "variant"]).dropna()
@@ -147,11 +165,13 @@ def support_bias(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
 
     Returns:
         A row for every data set, metric and share of pixels: `mean` bias over entrants and its
-        interval `low` and `high`. Oracles are left out.
+        interval `low` and `high`. Oracles are left out, and who lacks views that others have.
     """
     rows = rows[(rows["part"] == "random-support") & ~rows["method"].isin(ORACLES)]
-    rows = rows.assign(value=rows["value"] - rows["dense"], status="")
     by = ["dataset", "metric", "share"]
+    rows = _with_lacking(rows, [*by, *ENTRANT[1:]])
+    rows = rows[rows["lacking"] == 0]
+    rows = rows.assign(value=rows["value"] - rows["dense"])
     return _summary(rows, by, settings)
 
 
@@ -172,15 +192,17 @@ def conditioning_gain(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFra
     Returns:
         A row for every data set and entrant: mean `gain` in dB with its interval, beyond what the
         floor control gains, which reads no point: the two halves of the LiDAR hit other things.
+        `lacking` counts views that others have.
     """
-    rows = rows[rows["part"] == "conditioning"]
+    rows = _with_lacking(rows[rows["part"] == "conditioning"], ENTRANT)
+    missing = rows[[*ENTRANT, "lacking"]].drop_duplicates()
     rows = rows.assign(value=rows["value"] - rows["dense"])
     view = ["dataset", "scene", "frame", "target"]
     floor = rows[rows["method"] == FLOOR][[*view, "value"]]
     rows = rows.merge(floor, on=view, suffixes=("", "_floor"))
     rows = rows.assign(value=rows["value"] - rows["value_floor"])
     rows = rows[np.isfinite(rows["value"]) & (rows["method"] != FLOOR)]
-    return _summary(rows, ENTRANT, settings)
+    return _summary(rows, ENTRANT, settings).merge(missing, on=ENTRANT)
 
 
 def _summary(rows: pd.DataFrame, by: list[str], settings: TableSettings) -> pd.DataFrame:

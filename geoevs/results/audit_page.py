@@ -74,6 +74,9 @@ def _ranking(table: pd.DataFrame) -> list[str]:
     rows = table[table["metric"] == "sparse_psnr"].set_index("share")
     whole, thin = rows.loc[rows.index.max()], rows.loc[rows.index.min()]
     well = "It ranks" if whole["tau_low"] >= RANKS_WELL else "It does not surely rank"
+    entrants = f"{whole['entrants']:.0f} entrants"
+    if whole["left_out"]:
+        entrants += f" ({whole['left_out']:.0f} left out, as views are missing)"
     gap = "no difference in one frame was large enough to be trusted"
     thin_gap = "no difference was"
     if not math.isnan(whole["gap"]):
@@ -82,7 +85,7 @@ def _ranking(table: pd.DataFrame) -> list[str]:
     if not math.isnan(thin["gap"]):
         thin_gap = f"it takes {thin['gap']:.1f} dB"
     return [
-        f"**Ranks.** {well} {whole['entrants']:.0f} entrants as dense PSNR does: Kendall's tau is "
+        f"**Ranks.** {well} {entrants} as dense PSNR does: Kendall's tau is "
         f"{_interval(whole, 'tau')} at a support of {whole['support']:.3f}, and "
         f"{_interval(thin, 'tau')} at {thin['support']:.4f}.",
         f"**Gaps.** At a support of {whole['support']:.3f}, {gap}; at {thin['support']:.4f}, "
@@ -131,12 +134,16 @@ def _ceiling(table: pd.DataFrame) -> list[str]:
 
 
 def _gain(table: pd.DataFrame) -> list[str]:
-    rows = table.rename(columns={"mean": "gain", "low": "gain_low", "high": "gain_high"})
+    rows = table[table["lacking"] == 0]
+    rows = rows.rename(columns={"mean": "gain", "low": "gain_low", "high": "gain_high"})
+    if rows.empty:
+        return []
     most = rows.loc[rows["gain"].idxmax()]
+    who = f"{most['name']} gains" if most["gain"] > 0 else f"nobody gains: {most['name']} has"
     return [
-        f"**Leaks.** Scored on the points that it may read, "
-        f"{most['name']} gains {_interval(most, 'gain')} dB over "
-        f"the split that keeps them apart; the median entrant gains {rows['gain'].median():+.2f}."
+        f"**Leaks.** Scored on the points that it may read, {who} {_interval(most, 'gain')} dB "
+        "over the split that keeps them apart; the median entrant's difference is "
+        f"{rows['gain'].median():+.2f}."
     ]
 
 

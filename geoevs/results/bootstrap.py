@@ -74,12 +74,24 @@ PAIR = ["scene", "frame", "target", "seed"]
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """The mean difference of two entrants, the ends of its interval, and the number of pairs."""
+    """What two entrants have over the pairs that they make.
+
+    Args:
+        mean: the mean difference.
+        low, high: the ends of its interval.
+        pairs: how many there are.
+        left_out: views that either delivered, once for every seed, that give none: the other one
+            failed there or did not take part, or one of them is an exact copy.
+        first, second: the entrants' own means over the pairs.
+    """
 
     mean: float = np.nan
     low: float = np.nan
     high: float = np.nan
     pairs: int = 0
+    left_out: int = 0
+    first: float = np.nan
+    second: float = np.nan
 
 
 def paired_difference(
@@ -101,17 +113,24 @@ def paired_difference(
         NaN where there is no pair, and NaN ends where nothing can be redrawn: one seed, and one
         frame in every scene.
     """
+    both = pd.concat([rows, others])
+    asked = both[both["value"].notna()].drop_duplicates(PAIR)
     pairs = rows.merge(others, on=PAIR, suffixes=("", "_other"))
     pairs = pairs.assign(difference=pairs["value"] - pairs["value_other"])
     pairs = pairs[np.isfinite(pairs["difference"])]
+    counts = {"pairs": len(pairs), "left_out": len(asked) - len(pairs)}
     if pairs.empty:
-        return PairedDifference()
+        return PairedDifference(**counts)
     cells = pairs.pivot_table("difference", "seed", ["scene", "frame"])
     scenes = cells.columns.get_level_values("scene").to_numpy(object)
     table, present = cells.fillna(0.0).to_numpy(), cells.notna().to_numpy(np.float64)
     mean = float(table.sum() / present.sum())
+    by_seed = pairs.groupby(
+        ["seed", "scene", "frame"]
+    )  # each weighs the same, as in the difference
+    own = {"first": by_seed["value"].mean().mean(), "second": by_seed["value_other"].mean().mean()}
     if len(table) == 1 and len(set(scenes)) == len(scenes):
-        return PairedDifference(mean, pairs=len(pairs))
+        return PairedDifference(mean, **counts, **own)
     rng = np.random.default_rng(0)
     seeds = redraw(np.zeros(len(table)), resamples, rng)
     frames = redraw(scenes, resamples, rng)
@@ -120,7 +139,7 @@ def paired_difference(
         means = (seeds @ table * frames).sum(axis=1) / (seeds @ present * frames).sum(axis=1)
     tail = (1 - confidence) / 2
     low, high = np.nanquantile(means, [tail, 1 - tail], method="inverted_cdf")
-    return PairedDifference(mean, float(low), float(high), len(pairs))
+    return PairedDifference(mean, float(low), float(high), **counts, **own)
 
 
 def redraw(

@@ -40,6 +40,12 @@ negative, so that those are linear (Vega's symlog) up to this."""
 TICKS = (0, 1, 3, 10, 30, 100, 300, 1000, 3000)
 """Where a symlog axis has them, in multiples of LINEAR_TO."""
 
+HOLLOW = "Hollow: views are missing, and the mean is of the others"
+"""What a page says where it ranks nobody."""
+
+UNRANKED = "Hollow, not ranked, as views or fits are missing"
+"""What a panel says of those whose means are of fewer than others' are."""
+
 KINDS = {"method": "circle", "control": "triangle-up"}
 COLOR = (
     alt.Color("name:N", title="Entrant (click one to see it alone)", sort=None)
@@ -114,6 +120,8 @@ def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VC
         rows[0].hconcat[0] = rows[0].hconcat[0].add_params(CHOSEN)
     title = f"{spec.title}. Dashed: the frontier, what nothing beats in both; bars: intervals."
     title += " Fit seconds are without the training of networks (see tables/costs)."
+    outside = table.loc[table["outside"] != "", ["dataset", "outside"]].drop_duplicates()
+    title += "".join(f" {row.dataset}: {row.outside}." for row in outside.itertuples())
     return stacked(rows, title)
 
 
@@ -151,6 +159,8 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
         alt.Tooltip("x:Q", title=COSTS[cost], format=".4g"),
         alt.Tooltip("cost_interval:N", title="its interval"),
         alt.Tooltip("n:Q", title="views"),
+        alt.Tooltip("lacking:Q", title="views that it lacks"),
+        alt.Tooltip("lacking_fits:Q", title="fits that it lacks"),
     ]
     line = (
         alt.Chart(frontier)
@@ -163,11 +173,24 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
         .mark_text(align="right", baseline="bottom", fontSize=LABEL_SIZE)
         .encode(x="label_x:Q", y="label_y:Q", text="name:N")
     )
-    dots = base.mark_point(filled=True, size=75).encode(
-        color=COLOR, shape=SHAPE, opacity=FADED, tooltip=tips
-    )
+    dots = [
+        some.encode(color=COLOR, shape=SHAPE, opacity=FADED, tooltip=tips)
+        for some in _dots(base, data, 75)
+    ]
     upright, level = bars.encode(y="low:Q", y2="high:Q"), bars.encode(x="x_low:Q", x2="x_high:Q")
-    return layered([line, upright, level, dots, names], _titled(title, points))
+    return layered([line, upright, level, *dots, names], _titled(title, points))
+
+
+def _dots(base: alt.Chart, data: pd.DataFrame, size: int) -> list[alt.Chart]:
+    """Points of who is ranked, filled; of who is not, hollow."""
+    missing = data["lacking"] + data["lacking_fits"] > 0
+    if not missing.any():
+        return [base.mark_point(filled=True, size=size)]
+    lacks = "datum.lacking + datum.lacking_fits > 0"
+    return [
+        base.transform_filter(f"!({lacks})").mark_point(filled=True, size=size),
+        base.transform_filter(lacks).mark_point(filled=False, size=size, strokeWidth=2),
+    ]
 
 
 def layered(layers: list[alt.Chart], title: alt.TitleParams | str) -> alt.LayerChart:
@@ -176,13 +199,25 @@ def layered(layers: list[alt.Chart], title: alt.TitleParams | str) -> alt.LayerC
 
 
 def _titled(title: str, points: pd.DataFrame) -> alt.TitleParams:
-    """A panel's title, and below it whose mean is infinite, which no axis can show."""
-    beyond = points.loc[np.isinf(points["mean"]), "name"].unique()
-    if not len(beyond):
-        return alt.TitleParams(title)
-    text = f"Beyond the axis (∞, some views are exact): {', '.join(beyond)}"
-    lines = textwrap.wrap(text, SUBTITLE_WIDTH, break_on_hyphens=False)
-    return alt.TitleParams(title, subtitle=lines)
+    """A panel's title, and below it what its points do not say.
+
+    That is whose mean is infinite, which no axis can show, and who lacks views or fits.
+    """
+    said = {
+        "Beyond the axis (∞, some views are exact)": np.isinf(points["mean"]),
+        UNRANKED: points["lacking"] + points["lacking_fits"] > 0,
+    }
+    lines = [
+        line
+        for text, those in said.items()
+        if those.any()
+        for line in textwrap.wrap(
+            f"{text}: {', '.join(points.loc[those, 'name'].unique())}",
+            SUBTITLE_WIDTH,
+            break_on_hyphens=False,
+        )
+    ]
+    return alt.TitleParams(title, subtitle=lines) if lines else alt.TitleParams(title)
 
 
 def _upward(metric: str, up: list[float]) -> alt.Y:
@@ -226,7 +261,7 @@ def _plotted(points: pd.DataFrame, cost: str) -> pd.DataFrame:
             "low": points["low"].fillna(points["mean"]),
             "high": points["high"].fillna(points["mean"]),
             "frontier": points[f"{cost}_frontier"],
-            "n": points["n"],
+            **{name: points[name] for name in ("n", "lacking", "lacking_fits")},
         }
     ).dropna(subset=["x"])
     for name, low, high in (("interval", "low", "high"), ("cost_interval", "x_low", "x_high")):
@@ -311,16 +346,15 @@ def _length(name: str) -> float:
 def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.LayerChart:
     """A metric over a table's bins, one line with its intervals for every entrant."""
     data = points.assign(kind=np.where(points["control"], "control", "method"))
-    columns = ["name", "kind", "bin", "mean", "low", "high", "n"]
+    columns = ["name", "kind", "bin", "mean", "low", "high", "n", "lacking", "lacking_fits"]
     data = data.loc[np.isfinite(data["mean"]), columns]
     x = alt.X("bin:O", sort=bins, title=over).axis(labelAngle=0)
     base = alt.Chart(data).encode(x=x, color=COLOR, opacity=FADED)
     y = alt.Y("mean:Q", title=None).scale(zero=False)
-    dots = base.mark_point(filled=True, size=45).encode(
-        y=y, shape=SHAPE, tooltip=["name", "bin", "mean", "low", "high", "n"]
-    )
+    tips = ["name", "bin", "mean", "low", "high", "n", "lacking"]
+    dots = [some.encode(y=y, shape=SHAPE, tooltip=tips) for some in _dots(base, data, 45)]
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title=None), y2="high:Q")
-    return layered([base.mark_line().encode(y=y), bars, dots], _titled(title, points))
+    return layered([base.mark_line().encode(y=y), bars, *dots], _titled(title, points))
 
 
 def page_png(page: dict[str, Any]) -> bytes:

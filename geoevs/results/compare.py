@@ -1,19 +1,21 @@
 """By how much one entrant is better than another on the same views, and how surely."""
 
-from dataclasses import astuple
 from pathlib import Path
 
 import pandas as pd
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.results.bootstrap import PairedDifference, paired_difference, summarise
 from geoevs.results.formats import arrow, decimals, number, with_interval
-from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES, bin_names, table_rows
+from geoevs.results.views import paired_of, rows_of
 from geoevs.results.why_lookup import Record, known
 
-COLUMNS = ["bin", "metric", "first", "second", "difference", "low", "high", "pairs"]
+COLUMNS = ["bin", "metric", "first", "second", "difference", "low", "high", "pairs", "left_out"]
+LEFT_OUT = (
+    "All numbers are of the pairs. Left out: views that one of the two failed on, has no value of, "
+    "or copied exactly; means in tables may hold them."
+)
 
 
 def compare_entrants(
@@ -29,8 +31,9 @@ def compare_entrants(
         dataset: the data set; the run's first where it is empty.
 
     Returns:
-        COLUMNS, a row for every bin and metric in which any view gives a pair: the entrants' means
-        as in the table, then first minus second over pairs (see `paired_of`) with its interval.
+        COLUMNS, a row for every bin and metric in which any view gives a pair: the entrants' means,
+        then first minus second with its interval, all over the pairs alone (see `paired_of`); how
+        many they are, and how many views give none because one of the two has no finite value.
 
     Raises:
         GeoEvsError: there is no such table, data set or entrant (the sentence names the nearest),
@@ -47,10 +50,10 @@ def compare_entrants(
         for metric in spec.metrics:
             here = rows[(rows["bin"] == label) & (rows["metric"] == metric)]
             both = [rows_of(here, entrant.method, entrant.variant) for entrant in entrants]
-            difference = paired_of(*both, settings)
-            if difference.pairs:
-                means = [_mean(mine, settings) for mine in both]
-                found.append((label, metric, *means, *astuple(difference)))
+            gap = paired_of(*both, settings)
+            if gap.pairs:
+                numbers = (gap.first, gap.second, gap.mean, gap.low, gap.high)
+                found.append((label, metric, *numbers, gap.pairs, gap.left_out))
     if not found:
         raise GeoEvsError(
             f"no view of table {table} has a finite value of both {first} and {second} on "
@@ -59,46 +62,8 @@ def compare_entrants(
     return pd.DataFrame(found, columns=COLUMNS)
 
 
-def rows_of(rows: pd.DataFrame, method: str, variant: str) -> pd.DataFrame:
-    """The score rows of one entrant, of all its seeds."""
-    return rows[(rows["method"] == method) & (rows["variant"] == variant)]
-
-
-def paired_of(
-    rows: pd.DataFrame, others: pd.DataFrame, settings: TableSettings
-) -> PairedDifference:
-    """`paired_difference` of two entrants whatever their seeds and levels of stress.
-
-    An entrant of one seed, as controls are, meets every seed of the other. Views that were scored
-    at several levels meet at the same level.
-
-    Args:
-        rows: score rows of one entrant, of one data set, bin and metric.
-        others: the same of the other entrant.
-        settings: the config's `tables` section.
-    """
-    rows = _at_seeds_of(others, rows)
-    others = _at_seeds_of(rows, others)
-    levelled = (
-        some.assign(target=some["target"] + "@" + some["level"].astype(str))
-        for some in (rows, others)
-    )
-    return paired_difference(*levelled, *settings.bootstrap)
-
-
-def _at_seeds_of(others: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
-    if rows["seed"].nunique() != 1:
-        return rows
-    seeds = others[["seed"]].drop_duplicates()
-    return rows.drop(columns="seed").merge(seeds, how="cross")
-
-
-def _mean(rows: pd.DataFrame, settings: TableSettings) -> float:
-    return summarise(rows, ["metric"], *settings.bootstrap)["mean"].item()
-
-
 def comparison_text(table: pd.DataFrame, first: str, second: str) -> str:
-    """What `compare_entrants` found, in aligned columns."""
+    """What `compare_entrants` found, in aligned columns, and what its means are of."""
     lines = [
         (
             row.bin,
@@ -107,8 +72,11 @@ def comparison_text(table: pd.DataFrame, first: str, second: str) -> str:
             number(row.metric, row.second),
             with_interval(f"{{:+.{decimals(row.metric)}f}}", row.difference, row.low, row.high),
             row.pairs,
+            row.left_out or "",
         )
         for row in table.itertuples()
     ]
-    shown = pd.DataFrame(lines, columns=["bin", "metric", first, second, "difference", "pairs"])
-    return shown.loc[:, shown.ne("").any()].to_string(index=False)
+    header = ["bin", "metric", first, second, "difference", "pairs", "left out"]
+    shown = pd.DataFrame(lines, columns=header)
+    text = shown.loc[:, shown.ne("").any()].to_string(index=False)
+    return f"{text}\n{LEFT_OUT}" if table["left_out"].any() else text

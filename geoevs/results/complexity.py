@@ -15,6 +15,7 @@ from geoevs.results.bootstrap import summarise
 from geoevs.results.entrants import INFO, Entrants
 from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import lacking
 
 SPLIT, METRIC = "extrapolation", "sparse_psnr"
 """What a size is judged by, in dB; a method chooses by its sources alone."""
@@ -35,9 +36,10 @@ TITLE = "Sizes: chosen per scene, against fixed ones"
 LEGEND = f"""{METRIC} in dB on the {SPLIT} split; sizes are primitives; seconds are of the fit from
 all cameras. Regret: what the chosen size lacks of the best fixed one's dB, and takes more of its
 seconds; negative is better. The best fixed size is found per scene, after the fact. Empty = not
-run, or failed.
+run, or failed. A size that lacks a view that others of its scene have is left out there.
 """
 _KEY = ["dataset", "method", "scene"]
+_SIZE = [*_KEY, "variant"]
 
 
 def make_complexity_table(
@@ -69,10 +71,10 @@ def make_complexity_table(
         here = fits[fits["dataset"] == dataset]
         methods = here.loc[_is_fixed(here), "method"].unique()
         for method in methods:
-            fits_of_method = here[here["method"] == method]
+            of_method = here[here["method"] == method]
             rows = [
-                {"dataset": dataset, "method": method, "scene": scene} | _row(fits_of_method, scene)
-                for scene in fits_of_method["scene"].unique()
+                {"dataset": dataset, "method": method, "scene": scene} | _row(of_scene)
+                for scene, of_scene in of_method.groupby("scene", sort=False)
             ]
             rows.sort(key=lambda row: (row.get("chosen", math.inf), row["scene"]))
             about = entrants.columns(method, CHOSEN)
@@ -94,30 +96,40 @@ def write_complexity_table(
 
 
 def _fits(scores: pd.DataFrame, costs: pd.DataFrame) -> pd.DataFrame:
-    """Mean score, size and seconds by scene and entrant; seeds and then frames are averaged."""
-    by = [*_KEY, "variant"]
+    """Mean score, size and seconds by scene and entrant; seeds and then frames are averaged.
+
+    A fit that lacks views that other sizes of its scene have has its number of them in `lacking`.
+    """
     rows = scores[(scores["split"] == SPLIT) & (scores["metric"] == METRIC)]
-    rows = rows[(rows["stressor"] == "") & rows["value"].notna()]
-    frames = rows.groupby([*by, "frame"], sort=False)["value"].mean()
-    psnr = frames.groupby(by, sort=False).mean().rename("psnr")
-    return _spent(costs).join(psnr, how="inner").reset_index()
+    rows = rows[rows["stressor"] == ""]
+    missing = lacking(rows[_is_size(rows)], _SIZE, ["variant"]).set_index(_SIZE)
+    rows = rows[rows["value"].notna()]
+    frames = rows.groupby([*_SIZE, "frame"], sort=False)["value"].mean()
+    psnr = frames.groupby(_SIZE, sort=False).mean().rename("psnr")
+    asked = costs.loc[costs["sources"] == ALL_CAMERAS, _SIZE].drop_duplicates().set_index(_SIZE)
+    return asked.join(missing, how="inner").join(_spent(costs)).join(psnr).reset_index()
 
 
 def _spent(costs: pd.DataFrame) -> pd.DataFrame:
     """Mean `primitives` and `fit_seconds` by scene and entrant, of fits from all cameras."""
     fits = costs[(costs["sources"] == ALL_CAMERAS) & (costs["status"] != FAILED)]
-    return fits.groupby([*_KEY, "variant"], sort=False)[["primitives", "fit_seconds"]].mean()
+    return fits.groupby(_SIZE, sort=False)[["primitives", "fit_seconds"]].mean()
 
 
 def _is_fixed(rows: pd.DataFrame) -> pd.Series:
     return rows["variant"].map(lambda name: bool(FIXED.fullmatch(name))).astype(bool)
 
 
-def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
-    here = fits[fits["scene"] == scene]
+def _is_size(rows: pd.DataFrame) -> pd.Series:
+    return _is_fixed(rows) | (rows["variant"] == CHOSEN)
+
+
+def _row(of_scene: pd.DataFrame) -> dict[str, Any]:
+    partial = of_scene["lacking"] > 0
+    here = of_scene[~partial & of_scene["psnr"].notna()]
     chosen = here[here["variant"] == CHOSEN]
     fixed = here[_is_fixed(here)]
-    row: dict[str, Any] = {"note": ""}
+    row: dict[str, Any] = {}
     if len(chosen):
         (fit,) = chosen.to_dict("records")
         row |= dict(zip(("chosen", "psnr", "seconds"), _numbers(fit), strict=True))
@@ -128,8 +140,12 @@ def _row(fits: pd.DataFrame, scene: str) -> dict[str, Any]:
     if len(chosen) and len(fixed):
         row["regret_db"] = row["best_psnr"] - row["psnr"]
         row["regret_seconds"] = row["seconds"] - row["best_seconds"]
-    else:
-        row["note"] = "no fixed size here" if len(chosen) else "no chosen size here"
+    said = {
+        "no chosen size here": chosen.empty,
+        "no fixed size here": fixed.empty,
+        f"views are missing of {', '.join(of_scene.loc[partial, 'variant'])}": partial.any(),
+    }
+    row["note"] = "; ".join(text for text, holds in said.items() if holds)
     return row
 
 
@@ -141,7 +157,7 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The means over scenes that have both, so that all columns are of the same ones."""
     whole = pd.DataFrame([row for row in rows if "regret_db" in row])
     means = whole.select_dtypes("number").mean().to_dict() if len(whole) else {}
-    note = f"of {len(whole)} scenes"
+    note = f"of {len(whole)} scenes" + (f", not all {len(rows)}" if len(whole) < len(rows) else "")
     return {**{key: rows[0][key] for key in _KEY}, "scene": MEAN, **means, "note": note}
 
 
@@ -201,7 +217,8 @@ def size_curves(
         A row for every fit and metric of CHARTED: `dataset`, `method`, `scene`, `variant` (CHOSEN,
         or a fixed size), `metric`, `mean` with its interval `low` and `high` over frames, `n`,
         `primitives`, `fit_seconds`, `chosen`, the primitives that the method chose for the scene,
-        and its `name`. Scenes as in the table, sizes rising. Empty where no fixed size was run.
+        its `name`, and `lacking`, how many views it lacks that other sizes have. Scenes as in the
+        table, sizes rising. Empty where no fixed size was run.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
@@ -209,12 +226,12 @@ def size_curves(
     check_fingerprints(scores)
     rows = scores[(scores["split"] == SPLIT) & scores["metric"].isin(CHARTED)]
     rows = rows[rows["stressor"] == ""]
-    by = [*_KEY, "variant", "metric"]
+    by = [*_SIZE, "metric"]
     means = summarise(rows, by, *settings.bootstrap)
     means = means.drop(columns="failed").dropna(subset="mean")
     fits = means.merge(_spent(costs).reset_index(), on=[*_KEY, "variant"])
     fits = fits.assign(chosen=math.nan, name=fits["method"].map(entrants.name))
-    fits = fits[_is_fixed(fits) | (fits["variant"] == CHOSEN)]
+    fits = fits[_is_size(fits)].merge(lacking(rows[_is_size(rows)], by, ["variant"]), on=by)
     sized = [fits[:0]]
     for _, curve in fits.groupby(["dataset", "method"], sort=False):
         if _is_fixed(curve).any():

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.core.files import write_text
-from geoevs.results.chart_pages import WIDTH, layered, stacked, write_page
+from geoevs.results.chart_pages import HOLLOW, WIDTH, layered, stacked, write_page
 from geoevs.results.complexity import ADDS_SIZES, CHARTED, CHOSEN, TITLE, size_curves
 from geoevs.results.entrants import Entrants
 from geoevs.results.escaping import csv_text
@@ -62,6 +62,7 @@ def size_chart(table: pd.DataFrame) -> alt.VConcatChart:
         title = f"{dataset}: {fits['name'].iloc[0]}"
         rows.append(alt.concat(*panels, columns=COLUMNS, title=title))
     title = f"{TITLE}. Scenes by the size chosen there (dashed); bars: intervals."
+    title += f" {HOLLOW}." if table["lacking"].any() else ""
     return stacked(rows, title)
 
 
@@ -84,14 +85,17 @@ def _panel(fits: pd.DataFrame, scene: str) -> alt.LayerChart:
         "metric:N",
         *(alt.Tooltip(f"{end}:Q", format=".4g") for end in ("mean", "low", "high")),
         alt.Tooltip("n:Q", title="views"),
+        alt.Tooltip("lacking:Q", title="views that it lacks"),
     ]
-    lines = base.transform_filter("datum.kind == 'fixed'").mark_line().encode(y=y)
+    fixed = base.transform_filter("datum.kind == 'fixed' && datum.lacking == 0")
+    lines = fixed.mark_line().encode(y=y)
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title="dB ↑"), y2="high:Q")
     size = alt.condition("datum.kind == 'chosen'", alt.value(150), alt.value(45))
-    dots = base.mark_point(filled=True, opacity=1).encode(
-        y=y, shape=shape.legend(orient="top"), size=size, tooltip=tips
-    )
-    layers = [lines, bars, dots]
+    layers = [lines, bars]
+    for filled in (True, False) if (data["lacking"] > 0).any() else (True,):
+        some = base.transform_filter(f"datum.lacking {'==' if filled else '>'} 0")
+        dots = some.mark_point(filled=filled, opacity=1)
+        layers.append(dots.encode(y=y, shape=shape.legend(orient="top"), size=size, tooltip=tips))
     chosen = fits["chosen"].iloc[0]
     title = f"{scene}: no chosen size"
     if np.isfinite(chosen):

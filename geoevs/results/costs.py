@@ -14,6 +14,8 @@ from geoevs.results.formats import markdown_grid, write_formats
 COLUMNS = {
     "fit_seconds": "fit s",
     "training_seconds": "training s, once a run",
+    "load_seconds": "load s",
+    "warm_up_seconds": "first view s",
     "render_seconds": "render s / view",
     "peak_memory_mb": "peak memory MB",
     "gpu_memory_mb": "GPU memory MB",
@@ -24,8 +26,10 @@ COLUMNS = {
 LEGEND = """Means over n fits; *controls* in italics. `fit s` = seconds for one scene, with networks
 that were trained before; `training s` = seconds that the run trained those networks for, the depth
 network's fine-tuning among them: once for all scenes, and in no `fit s`. Empty = nothing is
-trained, or nobody timed it; what starting weights took before the run does not count. Memory = the
-peak of fitting and rendering. `primitives` = Gaussians, or what the row's note says; 0 = none.
+trained, or nobody timed it; what starting weights took before the run does not count. `load` =
+opening a fitted scene; `first view` = a view rendered before those that `render` is the median of.
+Memory = the peak of fitting and rendering, workers among it; of GPU memory that of the main process
+alone. `primitives` = Gaussians, or what the row's note says; 0 = none.
 `parameters` = learned values, those of networks among them. `on disk` = a fitted scene, with all
 that rendering it needs. `failed` = fits without a result; no mean holds them.
 """

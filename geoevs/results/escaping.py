@@ -24,7 +24,13 @@ NAMING = ("dataset", "scene", "method", "variant", "name", "bin")
 
 _LATEX_WORDS = {"~": "asciitilde", "^": "asciicircum", "\\": "backslash"}
 _LATEX_WORDS |= {"<": "less", ">": "greater", "|": "bar"}
-_LATEX_SYMBOLS = {"∞": "infty", "↑": "uparrow", "↓": "downarrow", "▼": "blacktriangledown"}
+_LATEX_SYMBOLS = {
+    "∞": "infty",
+    "↑": "uparrow",
+    "↓": "downarrow",
+    "▼": "blacktriangledown",
+    "†": "dagger",
+}
 LATEX = {
     **{letter: f"\\{letter}" for letter in "_%&#${}"},
     **{letter: rf"\text{word}{{}}" for letter, word in _LATEX_WORDS.items()},

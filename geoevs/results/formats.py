@@ -17,12 +17,15 @@ from geoevs.results.escaping import csv_text, latex_text, markdown_cell, markdow
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.results.tables import make_table
+from geoevs.results.views import MARK, MARKED
 
 LEGEND = f"""Mean [bootstrap interval over frames within scenes]; n = scored views; *controls* in
 italics. `paradigm` and `extra prior` are what a method says of itself; of methods that were not
-run, what the paper says. `paper` = printed in the paper, measured there on Waymo. ▼ = worse than
+run, what the paper says. `paper` = printed in the paper, measured there on Waymo (its SSIM may
+score borders too, which adds up to 0.005: docs/protocol.md). ▼ = worse than
 the floor, the control {FLOOR}. ∞ = exact in some frame. `floor` = the same distance between true
 images of other instants. Empty = not run, not measurable here, or not said.
+{MARKED}
 """
 
 
@@ -79,6 +82,7 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
     for dataset, rows in table.groupby("dataset", sort=False):
         header, body = _grid(spec, rows)
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
+        parts += [f"{text.capitalize()}.\n" for text in _outside(rows)]
     parts.append(LEGEND)
     parts += [f"Not measured: {markdown_text(why)}.\n" for why in sorted(_unmeasured(table))]
     return "\n".join(parts)
@@ -87,6 +91,11 @@ def to_markdown(spec: TableSpec, table: pd.DataFrame) -> str:
 def _unmeasured(rows: pd.DataFrame) -> set[str]:
     """Metrics without weights on this machine, each with the reason."""
     return {why for cell in rows["unmeasured"] for why in cell.split("; ") if why}
+
+
+def _outside(rows: pd.DataFrame) -> list[str]:
+    """What is said of views in no bin; nothing where all are in one."""
+    return [text for text in rows.get("outside", pd.Series(dtype=str)).unique() if text]
 
 
 def markdown_grid(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
@@ -111,6 +120,7 @@ def to_latex(spec: TableSpec, table: pd.DataFrame) -> str:
     parts = [f"% {spec.title}"]
     for dataset, rows in table.groupby("dataset", sort=False):
         parts.append(f"% {dataset}\n{latex_tabular(*_grid(spec, rows), rows['group'].tolist())}")
+        parts += [f"% {text}" for text in _outside(rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -203,6 +213,7 @@ def _measured(metric: str, row: dict) -> str:
         text += (
             f" [{number(metric, row[f'{metric}_low'])}, {number(metric, row[f'{metric}_high'])}]"
         )
+    text += f" {MARK}" if metric in row["partial"].split() else ""
     return text + (" ▼" if metric in row["below_floor"].split() else "")
 
 

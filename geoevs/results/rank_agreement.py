@@ -11,10 +11,12 @@ from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.rows import check_fingerprints
 from geoevs.results.bootstrap import redraw
+from geoevs.results.entrants import ENTRANT
 from geoevs.results.formats import markdown_grid, write_formats
 from geoevs.results.paper import paper_method, paper_values
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import table_spec
+from geoevs.results.views import with_lacking
 
 RANKED_TABLES = ("extrapolation", "interpolation")
 """Those in which the paper sets methods side by side that this suite runs (tables 2 and 5)."""
@@ -23,7 +25,8 @@ TITLE = "Does the paper's order of methods hold here?"
 LEGEND = """Kendall's tau between the paper's means and ours [bootstrap interval: frames redrawn
 within scenes, the same for all methods]; 1 = the same order, -1 = reversed, 0 = unrelated. With
 five methods even a chance order has a tau of 0.6 or more in 12 % of cases. Orders are from best to
-worst. Left out = methods of the paper's table that this run has no values of.
+worst. Left out = methods of the paper's table that this run has no values of, or that lack views
+that others have: their means are of other views, and no order holds them.
 """
 
 
@@ -37,14 +40,16 @@ def make_rank_agreement(scores: pd.DataFrame, settings: TableSettings) -> pd.Dat
     Returns:
         Columns `dataset`, `table`, `metric`, `tau`, its interval's ends `tau_low` and `tau_high`
         (NaN with fewer than two methods, and the ends with one frame a scene), `methods` (how many
-        are ranked), `left_out` (how many of the paper's are not), and the orders `paper` and
-        `here`.
+        are ranked: those that lack no view that any entrant has), `left_out` (how many of the
+        paper's are not), and the orders `paper` and `here`.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
     """
     check_fingerprints(scores)
-    whole = scores[(scores["stressor"] == "") & (scores["variant"] == DEFAULT)]
+    whole = scores[scores["stressor"] == ""]
+    whole = with_lacking(whole, [*ENTRANT, "split", "metric"])
+    whole = whole[(whole["lacking"] == 0) & (whole["variant"] == DEFAULT)]
     return pd.DataFrame(
         [
             {"dataset": dataset, "table": table, "metric": metric}
@@ -85,7 +90,7 @@ def _agreement(
     printed = {name: row[metric] for name, row in paper_values(table).items() if metric in row}
     rows = scores[scores["split"].isin(table_spec(table).splits) & (scores["metric"] == metric)]
     rows = rows[rows["method"].isin(list(printed)) & np.isfinite(rows["value"])]
-    # Frames by methods; a frame that some method did not deliver ranks nobody.
+    # Frames by methods; a frame that some method copied exactly ranks nobody.
     cells = rows.pivot_table("value", ["scene", "frame"], "method").dropna()
     methods = [name for name in printed if name in cells.columns]
     row = {"tau": np.nan, "tau_low": np.nan, "tau_high": np.nan, "methods": len(methods)}

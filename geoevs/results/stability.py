@@ -1,8 +1,8 @@
 """Where methods break: curves over graded stress, breaking points and seed spread, from rows."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.bootstrap import redraw, summarise
 from geoevs.results.entrants import ENTRANT, INFO, Entrants
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import lacking, with_lacking
 
 VIEW = ["dataset", "scene", "world", "frame", "target", "metric"]
 COLUMNS = [
@@ -34,6 +35,7 @@ COLUMNS = [
     "worst_decile",
     "failure_rate",
     "n",
+    "lacking",
 ]
 BREAKING_COLUMNS = [
     *ENTRANT,
@@ -44,6 +46,7 @@ BREAKING_COLUMNS = [
     "high",
     "control",
     "lead",
+    "lacking",
     *INFO,
 ]
 JUDGED_BY = ("psnr", "sparse_psnr", "psnr_moving")
@@ -55,11 +58,22 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Curve:
-    """One entrant's mean under each level, mildest first, and the same under every resample."""
+    """One entrant's mean under each level, mildest first, and the same under every resample.
+
+    `lacking` are views and draws that it has no value of and others do: there its mean is of the
+    others, and says nothing beside another entrant's or another level's.
+    """
 
     levels: list[float]
     means: np.ndarray  # [L]
     samples: np.ndarray  # [R, L]
+    lacking: np.ndarray  # [L]
+
+    def judged(self) -> Self:
+        """The curve with nothing where views are lacking."""
+        whole = self.lacking == 0
+        means, samples = (np.where(whole, some, np.nan) for some in (self.means, self.samples))
+        return replace(self, means=means, samples=samples)
 
 
 def make_stability_table(
@@ -77,7 +91,9 @@ def make_stability_table(
         mildest level's, in the metric's unit; `relative_degradation` is the share of the mildest
         level's mean that is lost; `worst_decile` is the mean of the worst
         tenth of views; `failure_rate` is the share of views that were not delivered, or that are
-        below what the floor control scores on them, in their world, without stress.
+        below what the floor control scores on them, in their world, without stress. `lacking`
+        counts views that others have a value of: of such a level the mean is shown, and neither
+        changes nor the worst tenth.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
@@ -89,11 +105,12 @@ def make_stability_table(
     table = []
     for key, rows in _curves(scores.assign(below=below)):
         curve = fit_curve(rows, key["stressor"], settings)
+        judged = curve.judged()
         for number, level in enumerate(curve.levels):
             here = _at(rows, level)
             values = here["value"].dropna()
             low, high = _ends(curve.samples[:, number], settings)
-            changes = curve.samples[:, number] - curve.samples[:, 0]
+            changes = judged.samples[:, number] - judged.samples[:, 0]
             change_low, change_high = _ends(changes, settings)
             tenth = values.nsmallest(max(1, round(len(values) / 10)))
             table.append(
@@ -105,13 +122,14 @@ def make_stability_table(
                     "mean": curve.means[number],
                     "low": low,
                     "high": high,
-                    "change": curve.means[number] - curve.means[0],
+                    "change": judged.means[number] - judged.means[0],
                     "change_low": change_low,
                     "change_high": change_high,
-                    "relative_degradation": 1 - curve.means[number] / curve.means[0],
-                    "worst_decile": tenth.mean(),
+                    "relative_degradation": 1 - judged.means[number] / judged.means[0],
+                    "worst_decile": np.nan if curve.lacking[number] else tenth.mean(),
                     "failure_rate": here["below"].mean(),
                     "n": len(values),
+                    "lacking": curve.lacking[number],
                 }
             )
     return pd.DataFrame(table, columns=COLUMNS)
@@ -153,8 +171,13 @@ def _own_mildest() -> list[str]:
 
 
 def _curves(scores: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """The rows of every curve, those of CLEAN added where stress starts from there."""
+    """The rows of every curve, those of CLEAN added where stress starts from there.
+
+    Each says what its entrant lacks at its level. Draws are shared, so a draw is another view.
+    """
     scores = scores[~scores["metric"].isin(SPREADS)]
+    by = [*ENTRANT, "stressor", "level", "metric"]
+    scores = with_lacking(scores, by, ["scene", "frame", "target", "seed"])
     clean = scores[scores["stressor"] == CLEAN].assign(level=np.nan)
     mildest = dict(iter(clean.groupby([*ENTRANT, "metric"], sort=False, dropna=False)))
     by = [*ENTRANT, "stressor", "metric"]
@@ -171,7 +194,8 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: TableSettings) -> Cur
     Targets of a frame are averaged first. A frame and draw counts the same at every level.
 
     Args:
-        rows: score rows of one entrant, stressor and metric; the level NaN is without stress.
+        rows: score rows of one entrant, stressor and metric, with the column `lacking` (see
+            `with_lacking`); the level NaN is without stress.
         stressor: says which way levels get harder.
         settings: the config's `tables` section.
     """
@@ -185,9 +209,8 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: TableSettings) -> Cur
     by_frame = redraw(frames.get_level_values("scene").to_numpy(object), settings.resamples, rng)
     # Without stress, NaN, is the first of the levels where there is such a one.
     numbers = rows["level"].map({level: number for number, level in enumerate(levels)}).fillna(0)
-    cells = rows.assign(number=numbers.astype(int)).pivot_table(
-        "value", ["number", "seed"], ["scene", "frame"]
-    )
+    rows = rows.assign(number=numbers.astype(int))
+    cells = rows.pivot_table("value", ["number", "seed"], ["scene", "frame"])
     every = pd.MultiIndex.from_product([range(len(levels)), draws])
     values = cells.reindex(index=every, columns=frames).to_numpy()
     values = values.reshape(len(levels), len(draws), len(frames))
@@ -197,13 +220,14 @@ def fit_curve(rows: pd.DataFrame, stressor: str, settings: TableSettings) -> Cur
         means = values.sum(axis=(1, 2)) / present.sum(axis=(1, 2))
         totals = (by_draw @ values * by_frame).sum(axis=2)
         samples = totals / (by_draw @ present * by_frame).sum(axis=2)
-    return Curve(levels, means, samples.T)
+    missing = rows.groupby("number")["lacking"].max().reindex(range(len(levels)), fill_value=0)
+    return Curve(levels, means, samples.T, missing.to_numpy())
 
 
 def breaking_points(
     scores: pd.DataFrame, settings: TableSettings, entrants: Entrants
 ) -> pd.DataFrame:
-    """The level at which each method falls below the best control under the same stress.
+    """The level at which each method fails, or falls below the best control under the same stress.
 
     Args:
         scores: the suite's score rows.
@@ -212,12 +236,13 @@ def breaking_points(
 
     Returns:
         A row for every method (controls excepted), stressor and metric of JUDGED_BY: `level`, the
-        first at which its mean is below the best control's, with the interval `low` (milder) and
-        `high` (harder) over resamples; `clean` is before any stress and `none` beyond the hardest
-        level. `control` is the best one there, `lead` by how much the method is above it without
-        stress, in the metric's unit. Levels at which no control has a value judge nobody; where
-        that is all of them, the row is empty. The method's `name`, `paradigm`, `extra_prior` and
-        `needs` come last.
+        first at which its mean is below the best control's or it lacks a view that others have,
+        with the interval `low` (milder) and `high` (harder) over resamples; `clean` is before any
+        stress and `none` beyond the hardest level. `lacking` is how many views it lacks at that
+        level. `control` is the best one there that lacks none, `lead` by how much the method is
+        above it without stress, in the metric's unit. Levels at which no control has a value of
+        every view judge nobody; where that is all of them, the row is empty. The method's `name`,
+        `paradigm`, `extra_prior` and `needs` come last.
     """
     curves: dict[tuple, dict[tuple[str, str], Curve]] = {}
     for key, rows in _curves(scores[scores["metric"].isin(JUDGED_BY)]):
@@ -250,13 +275,16 @@ def breaking_points(
 def _breaking_point(
     curve: Curve, controls: dict[str, Curve], settings: TableSettings
 ) -> dict[str, Any]:
+    missing = np.append(curve.lacking, 0)
+    curve, controls = curve.judged(), {name: some.judged() for name, some in controls.items()}
     names = list(controls)
     means = np.stack([controls[name].means for name in names])
     best = np.where(np.isnan(means), -np.inf, means).argmax(axis=0)
     bar = np.take_along_axis(means, best[None], axis=0)  # [1, L], NaN where no control has a value
     defined = np.flatnonzero(~np.isnan(bar[0]))
     if not len(defined):
-        return {"level": "", "low": "", "high": "", "control": "", "lead": np.nan}
+        blank = dict.fromkeys(("level", "low", "high", "control"), "")
+        return {**blank, "lead": np.nan, "lacking": 0}
     rivals = np.stack(
         [controls[names[who]].samples[:, number] for number, who in enumerate(best)], axis=1
     )
@@ -270,6 +298,7 @@ def _breaking_point(
         "high": labels[int(ends[1])],
         "control": names[best[min(first, defined[-1])]],
         "lead": curve.means[0] - bar[0, 0],
+        "lacking": missing[first],
     }
 
 
@@ -286,7 +315,12 @@ def _first_broken(
 
 
 def seed_spread(scores: pd.DataFrame, settings: TableSettings, entrants: Entrants) -> pd.DataFrame:
-    """How far a method's draws lie apart without stress, in 8-bit levels (see SPREADS)."""
+    """How far a method's draws lie apart without stress, in 8-bit levels (see SPREADS).
+
+    `lacking` counts views that others have: those where a draw failed.
+    """
     rows = scores[scores["metric"].isin(SPREADS)]
     rows = rows.assign(value=255 * rows["value"])
-    return entrants.describe(summarise(rows, [*ENTRANT, "metric"], *settings.bootstrap))
+    by = [*ENTRANT, "metric"]
+    spread = summarise(rows, by, *settings.bootstrap).merge(lacking(rows, by), on=by)
+    return entrants.describe(spread)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from geoevs.core.files import write_text
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.chart_pages import write_page
+from geoevs.results.chart_pages import HOLLOW, write_page
 from geoevs.results.escaping import csv_text
 
 PANELS = {
@@ -19,7 +19,7 @@ PANELS = {
     "psnr_supported": "PSNR where reprojection has support, dB",
     "psnr_new": "PSNR where it has none, dB",
 }
-COLUMNS = ["dataset", "name", "control", "level", "metric", "mean", "low", "high"]
+COLUMNS = ["dataset", "name", "control", "level", "metric", "mean", "low", "high", "lacking"]
 
 
 def write_stability_chart(stem: Path, table: pd.DataFrame, stressor: str) -> None:
@@ -62,8 +62,14 @@ def stability_curves(rows: pd.DataFrame, stressor: str) -> alt.VConcatChart:
         line = base.mark_line(point=True).encode(
             y=alt.Y("mean:Q", title=PANELS[metric]).scale(zero=False),
             strokeDash=alt.StrokeDash("control:N", title="control"),
-            tooltip=["name", "severity", "mean", "low", "high"],
+            tooltip=["name", "severity", "mean", "low", "high", "lacking"],
         )
+        title: str | alt.TitleParams = str(dataset)
+        if (points["lacking"] > 0).any():
+            title = alt.TitleParams(title, subtitle=HOLLOW)
+            hollow = base.transform_filter("datum.lacking > 0")
+            mark = hollow.mark_point(filled=False, fill="white", opacity=1, size=60)
+            line += mark.encode(y="mean:Q")
         band = base.mark_area(opacity=0.12).encode(y="low:Q", y2="high:Q")
-        panels.append((band + line).properties(width=620, height=280, title=dataset))
+        panels.append((band + line).properties(width=620, height=280, title=title))
     return alt.vconcat(*panels).configure_view(stroke=None)

@@ -20,19 +20,23 @@ from geoevs.results.stability import (
     make_stability_table,
     seed_spread,
 )
+from geoevs.results.views import MARK, MARKED
 
-BREAKING_LEGEND = """The first level at which a method's mean is below that of the best control
+BREAKING_LEGEND = f"""The first level at which a method's mean is below that of the best control
 under the same stress [over resamples of frames and draws: from the mildest to the hardest].
-*clean*: it is below before any stress. *none*: it stays above up to the hardest level.
+*clean*: it is below before any stress. *none*: it stays above up to the hardest level. {MARK} = it
+breaks there because it lacks views that others delivered.
 """
 
 LEFT_LEGEND = f"""Mean at a stressor's hardest level in dB, and that minus the mean at its mildest
 [over resamples of frames and draws]. *Controls* in italics. ▼ = below the floor, the control
 {FLOOR}, under the same stress. A yaw that ends at a recorded camera is easy again.
+{MARKED}
 """
 
-SPREAD_LEGEND = """Standard deviation over draws without stress, in 8-bit levels, where raw
+SPREAD_LEGEND = f"""Standard deviation over draws without stress, in 8-bit levels, where raw
 reprojection supports a pixel and where not.
+{MARKED}
 """
 
 
@@ -83,17 +87,21 @@ def stability_markdown(curves: pd.DataFrame, broken: pd.DataFrame, spread: pd.Da
     body = []
     for _, rows in spread.groupby(ENTRANT, sort=False):
         means = rows.set_index("metric")["mean"]
-        body.append([rows["name"].iloc[0], *(f"{means[name]:.2f}" for name in SPREADS)])
+        mark = f" {MARK}" if rows["lacking"].any() else ""
+        body.append([rows["name"].iloc[0], *(f"{means[name]:.2f}{mark}" for name in SPREADS)])
     parts.append(markdown_grid(["method", "supported", "not supported"], body) + "\n")
     return "\n".join(parts)
 
 
 def hardest_levels(curves: pd.DataFrame) -> pd.DataFrame:
-    """The last row of every curve that is judged, with `floor`, the floor's mean there."""
+    """The last row of every curve that is judged, with `floor`, the floor's mean there.
+
+    A floor that lacks views has none.
+    """
     place = ["dataset", "stressor", "metric"]
     judged = curves[curves["metric"].isin(JUDGED_BY)]
     last = judged.groupby([*ENTRANT, *place[1:]], sort=False).tail(1)
-    floor = last[last["method"] == FLOOR].set_index(place)["mean"]
+    floor = last[(last["method"] == FLOOR) & (last["lacking"] == 0)].set_index(place)["mean"]
     return last.join(floor.rename("floor"), on=place)
 
 
@@ -112,16 +120,18 @@ def _grid(rows: pd.DataFrame, cell: Cell, heading: Cell) -> str:
 
 
 def _breaking_point(row: dict[str, Any]) -> str:
-    interval = f" [{row['low']}, {row['high']}]"
-    return row["level"] + ("" if row["low"] == row["high"] else interval)
+    interval = "" if row["low"] == row["high"] else f" [{row['low']}, {row['high']}]"
+    return row["level"] + interval + (f" {MARK}" if row["lacking"] else "")
 
 
 def _left(row: dict[str, Any]) -> str:
     if pd.isna(row["mean"]):
         return ""
+    if row["lacking"]:
+        return f"{row['mean']:.1f} {MARK}"
     change = with_interval("{:+.1f}", row["change"], row["change_low"], row["change_high"])
     worse = " ▼" if row["mean"] < row["floor"] else ""
-    return f"{row['mean']:.1f}{worse}, {change}"
+    return f"{row['mean']:.1f}{worse}" + (f", {change}" if change else "")
 
 
 def _with_level(row: dict[str, Any]) -> str:

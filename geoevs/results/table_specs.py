@@ -10,6 +10,10 @@ import pandas as pd
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.protocol.scoring import THINNING
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import VIEW
+
+DIGITS = 9
+"""Decimals of a bin's column that count: angles of poses are off by 1e-14 degrees."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +125,49 @@ def bin_names(spec: TableSpec, settings: TableSettings) -> Sequence[str]:
 
 
 def table_rows(spec: TableSpec, scores: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
-    """The score rows that a table averages, with the column `bin`."""
-    rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
-    wanted = (rows["stressor"] == "") | (
-        (rows["stressor"] == THINNING) & (spec.edges == "support_bins")
-    )
-    rows = rows[wanted]
+    """The score rows that a table averages, with the column `bin`; those in no bin are left out."""
+    rows = _rows_of_table(spec, scores)
     if not spec.edges:
         return rows.assign(bin=rows[spec.bins] if spec.bins else "")
     edges = getattr(settings, spec.edges)
     closed = [*edges[:-1], math.nextafter(edges[-1], math.inf)]  # the last bin holds its end
-    cut = pd.cut(rows[spec.bins], closed, right=False, labels=bin_labels(edges))
+    cut = pd.cut(_places(rows, spec), closed, right=False, labels=bin_labels(edges))
     return rows.assign(bin=cut.astype("string")).dropna(subset="bin")
+
+
+def views_in_no_bin(
+    spec: TableSpec, scores: pd.DataFrame, settings: TableSettings
+) -> dict[str, str]:
+    """For every data set that has some, how many views a table leaves out, and where they lie.
+
+    A view that is scored at several shares of its reference counts once for each.
+    """
+    if not spec.edges:
+        return {}
+    edges = getattr(settings, spec.edges)
+    views = _rows_of_table(spec, scores).drop_duplicates(["dataset", *VIEW])
+    found = {}
+    for dataset, here in _places(views, spec).groupby(views["dataset"], sort=False):
+        counts = {
+            f"below {edges[0]:g}": (here < edges[0]).sum(),
+            f"above {edges[-1]:g}": (here > edges[-1]).sum(),
+            f"without a {spec.bins}": here.isna().sum(),
+        }
+        places = [f"{count} {place}" for place, count in counts.items() if count]
+        if places:
+            outside = f"{sum(counts.values())} of {len(here)} views lie in no bin"
+            found[dataset] = f"{outside}: {', '.join(places)}"
+    return found
+
+
+def _places(rows: pd.DataFrame, spec: TableSpec) -> pd.Series:
+    """Where rows lie among a table's edges; an angle that was set to an edge is on it."""
+    return rows[spec.bins].round(DIGITS)
+
+
+def _rows_of_table(spec: TableSpec, scores: pd.DataFrame) -> pd.DataFrame:
+    """The score rows of a table, whatever their bin."""
+    rows = scores[scores["split"].isin(spec.splits) & scores["metric"].isin(spec.metrics)]
+    return rows[
+        (rows["stressor"] == "") | ((rows["stressor"] == THINNING) & (spec.edges == "support_bins"))
+    ]

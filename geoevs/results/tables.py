@@ -14,7 +14,14 @@ from geoevs.results.bootstrap import summarise
 from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.paper import paper_values
 from geoevs.results.settings import TableSettings
-from geoevs.results.table_specs import TableSpec, bin_names, table_rows, table_spec
+from geoevs.results.table_specs import (
+    TableSpec,
+    bin_names,
+    table_rows,
+    table_spec,
+    views_in_no_bin,
+)
+from geoevs.results.views import lacking, lacking_of_sets, paired_of, rows_of
 
 
 def make_table(
@@ -38,9 +45,10 @@ def make_table(
         breakdowns, `<metric>_paper` where the paper has it, `<metric>`, `<metric>_low` and
         `<metric>_high` for every metric, `<metric>_floor` for distances of sets, `n` and `failed`
         (views with a value of the first metric that is defined there, and views without a render),
-        `below_floor` (metrics that the floor beats), `note`, `unmeasured` (metrics that this
-        machine lacks the weights for, and why), and the entrant's `name`, `paradigm`,
-        `extra_prior` and `needs`.
+        `below_floor` (metrics that the floor beats, on the views that both delivered), `partial`
+        (metrics whose mean lacks views that others have), `note`, `unmeasured` (metrics that this
+        machine lacks the weights for, and why), `outside` (what is said of views in no bin), and
+        the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
 
     Raises:
         GeoEvsError: there is no such table, or the rows come from different protocols.
@@ -49,17 +57,18 @@ def make_table(
     check_fingerprints(scores)
     rows = table_rows(spec, scores, settings)
     by = [*ENTRANT, "bin", "metric"]
-    summary = summarise(rows, by, *settings.bootstrap)
+    summary = summarise(rows, by, *settings.bootstrap).merge(lacking(rows, by), on=by)
+    summary["worse"] = _worse(summary, rows, settings)
     distances = _set_means(spec, sets)
     unmeasured = "; ".join(f"{metric}: {why}" for metric, why in _unavailable(rows, spec, sets))
     bins = bin_names(spec, settings)
+    outside = views_in_no_bin(spec, scores, settings)
     ran = set(scores[ENTRANT].itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             {"dataset": dataset, "group": _group(name, method, variant, entrants)}
-            | _table_row(name, spec, summary, dataset, method, variant, label)
-            | distances.get((dataset, method, variant), {})
-            | {"unmeasured": unmeasured}
+            | _table_row(name, spec, summary, distances, dataset, method, variant, label)
+            | {"unmeasured": unmeasured, "outside": outside.get(dataset, "")}
             | ({} if (dataset, method, variant) in ran else {"note": "not run", "unmeasured": ""})
             for dataset in scores["dataset"].unique()
             for method, variant in _listed(name, scores, entrants)
@@ -67,21 +76,29 @@ def make_table(
         ]
     )
     table = entrants.describe(table)
-    return table if spec.bins else table.drop(columns="bin")
+    table = table if spec.bins else table.drop(columns="bin")
+    return table if spec.edges else table.drop(columns="outside")
 
 
-def _set_means(spec: TableSpec, sets: pd.DataFrame | None) -> dict[tuple, dict[str, float]]:
-    """The columns of distances of sets for every data set and entrant, means over seeds."""
+def _set_means(spec: TableSpec, sets: pd.DataFrame | None) -> dict[tuple, dict[str, Any]]:
+    """The columns of distances of sets for every data set and entrant, means over seeds.
+
+    `partial` among them has the distances over fewer views than others.
+    """
     if sets is None:
         return {}
-    rows = sets[sets["split"].isin(spec.splits) & sets["metric"].isin(spec.set_metrics)]
-    found: dict[tuple, dict[str, float]] = {}
+    rows = sets.assign(lacking=lacking_of_sets(sets))
+    rows = rows[rows["split"].isin(spec.splits) & rows["metric"].isin(spec.set_metrics)]
+    found: dict[tuple, dict[str, Any]] = {}
     by = [*ENTRANT, "metric"]
     for (*entrant, metric), group in rows.groupby(by, sort=False):
         mean = group[["value", "low", "high", "floor"]].mean()
         columns = dict(zip(("", "_low", "_high", "_floor"), mean, strict=True))
         cells = {metric + suffix: value for suffix, value in columns.items()}
-        found.setdefault(tuple(entrant), {}).update(cells)
+        mine = found.setdefault(tuple(entrant), {"partial": []})
+        mine.update(cells)
+        if group["lacking"].any() and not math.isnan(mean["value"]):
+            mine["partial"].append(metric)
     return found
 
 
@@ -117,6 +134,7 @@ def _table_row(
     name: str,
     spec: TableSpec,
     summary: pd.DataFrame,
+    distances: dict[tuple, dict[str, Any]],
     dataset: str,
     method: str,
     variant: str,
@@ -124,8 +142,6 @@ def _table_row(
 ) -> dict[str, Any]:
     here = summary[(summary["dataset"] == dataset) & (summary["bin"] == label)]
     mine = here[(here["method"] == method) & (here["variant"] == variant)].set_index("metric")
-    is_floor = (here["method"] == FLOOR) & (here["variant"] == DEFAULT)
-    floor = here[is_floor].set_index("metric")["mean"]
     printed = paper_values(name).get(method, {}) if variant == DEFAULT else {}
     printed = printed.get(label, {}) if spec.bins else printed
     row: dict[str, Any] = {"method": method, "variant": variant, "bin": label}
@@ -140,8 +156,11 @@ def _table_row(
     defined = [metric for metric in spec.metrics if metric in mine.index]
     for count in ("n", "failed"):
         row[count] = int(mine[count][defined[0]]) if defined else 0
-    row["below_floor"] = " ".join(_worse(mine["mean"], floor)) if method != FLOOR else ""
-    row["note"] = _note(row)
+    row["below_floor"] = " ".join(mine.index[mine["worse"]]) if method != FLOOR else ""
+    of_sets = distances.get((dataset, method, variant), {"partial": []})
+    partial = mine.index[(mine["lacking"] > 0) & mine["mean"].notna()]
+    row |= of_sets | {"partial": " ".join([*partial, *of_sets["partial"]])}
+    row["note"] = _note(row, int(mine["lacking"][defined[0]]) if defined else 0)
     return row
 
 
@@ -150,16 +169,34 @@ def _flat_paper(name: str, spec: TableSpec) -> list[dict[str, float]]:
     return [cell for bins in values for cell in bins.values()] if spec.bins else list(values)
 
 
-def _worse(means: pd.Series, floor: pd.Series) -> list[str]:
-    return [
-        metric
-        for metric, mean in means.items()
-        if metric in floor.index
-        and (mean < floor[metric] if METRICS[metric].higher_is_better else mean > floor[metric])
-    ]
+def _worse(summary: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -> list[bool]:
+    """Whether the floor beats each mean; where either lacks views, on those that both delivered."""
+    place = ["dataset", "bin", "metric"]
+    floors = rows_of(summary, FLOOR, DEFAULT).set_index(place)
+    worse = []
+    for row in summary.itertuples():
+        at = (row.dataset, row.bin, row.metric)
+        if at not in floors.index:
+            worse.append(False)
+            continue
+        floor = floors.loc[at]
+        mean, bar = row.mean, floor["mean"]
+        if row.lacking or floor["lacking"]:
+            here = rows[(rows[place] == list(at)).all(axis=1)]
+            both = (rows_of(here, *who) for who in ((row.method, row.variant), (FLOOR, DEFAULT)))
+            gap = paired_of(*both, settings)
+            mean, bar = gap.first, gap.second
+        worse.append(mean < bar if METRICS[row.metric].higher_is_better else mean > bar)
+    return worse
 
 
-def _note(row: dict[str, Any]) -> str:
+def _note(row: dict[str, Any], missing: int) -> str:
+    """What is said of views that are missing; `missing` are those of the first metric."""
+    asked = missing + row["n"]
     if row["failed"]:
-        return f"failed on {row['failed']} of {row['failed'] + row['n']} views"
-    return "" if row["n"] else "no view here"
+        note = f"failed on {row['failed']} of {row['failed'] + row['n']} views"
+    elif missing and row["n"]:
+        note = f"lacks {missing} of {asked} views that others have"
+    else:
+        return "" if row["n"] else "no view here"
+    return f"{note}; mean of those delivered, not ranked" if row["n"] else note

@@ -5,8 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.text import clean
 
 RIGID_TOLERANCE = 1e-4
+LARGEST_SIDE = 8192
+"""Pixels of a side at most. One picture of this size fills gigabytes in float64."""
+
+FOCAL_RANGE = (0.01, 100.0)
+"""Focal lengths in sides of the image: from 178 degrees across to half a degree."""
+
+WORLD_LIMIT = 10_000.0
+"""Metres from the world's origin at most: float32 holds a millimetre up to there."""
+
+PRINCIPAL_TOLERANCE = 1e-9
+"""Sides of the image by which a principal point on its border may be rounded outwards."""
 
 
 def view_key(camera: str, frame: int) -> str:
@@ -30,8 +42,8 @@ class Camera:
         name: which camera of the rig, or which target, this is.
 
     Raises:
-        GeoEvsError: a value is not finite, a focal length is not positive, K has skew, or the
-            pose is not rigid.
+        GeoEvsError: a value is not finite, K has skew, a focal length or principal point that its
+            image cannot have, the pose is not rigid or beyond WORLD_LIMIT, or the size is none.
     """
 
     K: np.ndarray  # [3, 3] float64
@@ -54,6 +66,8 @@ class Camera:
             )
         if min(self.K[0, 0], self.K[1, 1]) <= 0:
             raise GeoEvsError(f"{who} has a focal length that is not positive; correct fx and fy")
+        self._check_size(who)
+        self._check_lens(who)
         rotation = self.world_from_camera[:3, :3]
         rigid = (
             np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
@@ -65,8 +79,40 @@ class Camera:
                 f"{who} has a pose that is not rigid; its rotation must be orthonormal, without "
                 "scale or mirroring"
             )
-        if self.height < 1 or self.width < 1:
+        if np.abs(self.centre).max() > WORLD_LIMIT:
+            raise GeoEvsError(
+                f"{who} stands more than {WORLD_LIMIT / 1000:g} km from the world's origin, where "
+                "float32 loses millimetres; subtract an origin from all poses, points and boxes"
+            )
+
+    def _check_size(self, who: str) -> None:
+        size = self.height, self.width
+        if not all(isinstance(side, (int, np.integer)) and side is not True for side in size):
+            raise GeoEvsError(f"{who} has a size that is no whole number; set height and width")
+        if min(size) < 1:
             raise GeoEvsError(f"{who} has no pixels ({self.height} x {self.width}); set its size")
+        if max(size) > LARGEST_SIDE:
+            raise GeoEvsError(
+                f"{who} has a side of {clean(str(max(size)), 20)} pixels; resize its image, and K "
+                f"with it, to {LARGEST_SIDE} at most"
+            )
+
+    def _check_lens(self, who: str) -> None:
+        """Check what can only be wrong with regard to the image's size."""
+        sides = np.array([self.width, self.height])
+        low, high = FOCAL_RANGE
+        focal = np.diagonal(self.K)[:2] / sides
+        if focal.min() < low or focal.max() > high:
+            raise GeoEvsError(
+                f"{who} has focal lengths {self.K[0, 0]:g} and {self.K[1, 1]:g}, which no image of "
+                f"{self.height} x {self.width} has; correct fx and fy, or the size"
+            )
+        principal = self.K[:2, 2] / sides
+        if np.abs(principal - 0.5).max() > 0.5 + PRINCIPAL_TOLERANCE:
+            raise GeoEvsError(
+                f"{who} has its principal point at ({self.K[0, 2]:g}, {self.K[1, 2]:g}), outside "
+                f"its image of {self.height} x {self.width}; take the K that belongs to this size"
+            )
 
     @property
     def camera_from_world(self) -> np.ndarray:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -11,9 +12,17 @@ import pandas as pd
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
+from geoevs.core.stamps import Stamp
 from geoevs.scenes.camera import Camera
 
 LIDAR_SPLITS = ("sensor", "beam")
+MOST_CAMERAS = 127
+"""Cameras of a scene at most, as a point's `camera` is an int8."""
+
+NEAR = 1000.0
+"""Metres from the world's origin up to which a scene keeps its coordinates: float32 holds them to
+0.06 mm."""
+
 TRACK_COLUMNS = (
     "frame",
     "track",
@@ -103,7 +112,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         if self.lidar_split not in LIDAR_SPLITS:
-            hint = did_you_mean(self.lidar_split, LIDAR_SPLITS)
+            hint = did_you_mean(str(self.lidar_split), LIDAR_SPLITS)
             raise GeoEvsError(f"there is no lidar_split '{self.lidar_split}'; {hint}")
 
     def scores(self, points: PointCloud) -> np.ndarray:
@@ -115,13 +124,19 @@ class Rig:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """A scene's name, source, licence, rig and cameras."""
+    """A scene's name, source, licence, rig and cameras.
+
+    `origin` is what was subtracted from its source's coordinates, in metres (see `scene_origin`);
+    `made_with` tells the settings and the data of the store.
+    """
 
     name: str
     source: str
     licence: str
     rig: Rig
     cameras: tuple[str, ...]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    made_with: Stamp = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -129,13 +144,35 @@ class SceneRecord:
     """A scene as a source gives it: read `frames` once, one frame in memory at a time.
 
     `tracks` has TRACK_COLUMNS: box centres and sizes in metres, yaw in degrees about world z,
-    `length` along the heading, `moving` true for a track that moves during the scene.
+    `length` along the heading, `moving` true for a track that moves during the scene. From its
+    positions, and those of the frames, `info.origin` is subtracted, in float64.
     """
 
     info: SceneInfo
     tracks: pd.DataFrame
     frames: Iterator[Frame]
     frame_count: int
+
+
+def scene_origin(place: np.ndarray) -> tuple[float, float, float]:
+    """What a source subtracts from its coordinates, so that float32 holds them.
+
+    Args:
+        place: (3,) metres, where the scene begins.
+
+    Returns:
+        Zeros near the world's origin, whose scenes keep their coordinates; else whole metres, so
+        that adding them again is exact.
+
+    >>> scene_origin(np.array([9.4, -9.3, 1.8]))
+    (0.0, 0.0, 0.0)
+    >>> scene_origin(np.array([500009.4, 4649785.7, 221.8]))
+    (500009.0, 4649786.0, 222.0)
+    """
+    if np.abs(place).max() <= NEAR:
+        return (0.0, 0.0, 0.0)
+    x, y, z = np.rint(place).tolist()
+    return (x, y, z)
 
 
 class Truth(NamedTuple):
@@ -160,6 +197,13 @@ class SceneSource(Protocol):
 
         Raises:
             GeoEvsError: there can be no such scene.
+        """
+        ...
+
+    def files(self, scene: "SceneRef") -> Iterable[Path]:
+        """The files and folders that a scene is read from; none where it is made.
+
+        They are only listed, so that a change of one is noticed; nothing need be there.
         """
         ...
 

@@ -1,17 +1,18 @@
-"""The scene store: a folder that nerfstudio, gsplat and COLMAP users can open.
+"""The scene store: a folder that nerfstudio opens; no COLMAP model is written.
 
 transforms.json            nerfstudio's format, plus camera, frame, timestamp and split
 images/<camera>/<frame>.png
 lidar/<frame>.npz          xyz, rgb, camera, sensor, beam (see PointCloud)
 tracks.parquet             boxes, one row a frame and track (see TRACK_COLUMNS)
-scene.json                 name, source, licence, rig; written last
+scene.json                 name, source, licence, rig, cameras, origin, made_with; written last
 """
 
 import dataclasses
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,11 +30,25 @@ from geoevs.core.files import (
     write_image,
     write_json,
 )
+from geoevs.core.hashes import file_hash, text_hash
+from geoevs.core.names import inside
+from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, view_key
+from geoevs.scenes.checks import (
+    check_info,
+    check_rig,
+    check_tracks,
+    checked_points,
+    frame_number,
+    number,
+    timestamp,
+)
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
 
 # nerfstudio's cameras are OpenGL's: y up, z backward.
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+CAMERA_MODELS = ("OPENCV", "PINHOLE")
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 POINT_FIELDS = [field.name for field in dataclasses.fields(PointCloud)]
 
 
@@ -52,25 +67,48 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
     }
 
 
-def camera_from_json(entry: dict[str, Any], name: str, file: Path) -> Camera:
+def camera_from_json(entry: Mapping[str, Any], name: str, file: Path) -> Camera:
     """Inverse of `camera_to_json`; `file` is where the entry stands, for errors.
 
     Raises:
-        GeoEvsError: a field is missing, or the calibration is impossible (see Camera).
+        GeoEvsError: a field is missing or no number, the lens is distorted, or the calibration is
+            impossible (see Camera).
     """
+    who = f"{file}: camera '{name}'"
+    for field in ("fl_x", "cx", "fl_y", "cy", "w", "h", "transform_matrix"):
+        if field not in entry:
+            raise GeoEvsError(f"{who} lacks '{field}'; add it")
+    _check_undistorted(entry, who)
+    fx, fy, cx, cy = (number(entry[field], field, who) for field in ("fl_x", "fl_y", "cx", "cy"))
+    pose = _matrix(entry["transform_matrix"], who) @ OPENCV_FROM_OPENGL
     try:
-        rows = [[entry["fl_x"], 0, entry["cx"]], [0, entry["fl_y"], entry["cy"]], [0, 0, 1]]
-        K = np.array(rows, np.float64)
-        pose = np.array(entry["transform_matrix"], np.float64) @ OPENCV_FROM_OPENGL
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         return Camera(K, pose, entry["h"], entry["w"], name)
     except GeoEvsError as error:
         raise GeoEvsError(f"{file}: {error}") from error
-    except KeyError as error:
-        raise GeoEvsError(f"{file}: camera '{name}' lacks {error}; add it") from error
-    except (TypeError, ValueError) as error:
+
+
+def _matrix(rows: Any, who: str) -> np.ndarray:
+    """(4, 4) float64 of a list of lists of numbers."""
+    whole = isinstance(rows, list) and len(rows) == 4
+    if not (whole and all(isinstance(row, list) and len(row) == 4 for row in rows)):
+        raise GeoEvsError(f"{who} has a transform_matrix that is not 4 x 4; correct it")
+    return np.array([[number(value, "transform_matrix", who) for value in row] for row in rows])
+
+
+def _check_undistorted(entry: Mapping[str, Any], who: str) -> None:
+    model = entry.get("camera_model", CAMERA_MODELS[0])
+    if model not in CAMERA_MODELS:
         raise GeoEvsError(
-            f"{file}: camera '{name}' has a value that cannot be read ({error}); correct it"
-        ) from error
+            f"{who} is of the model '{clean(str(model), 40)}'; undistort its images to a pinhole, "
+            f"and write {' or '.join(CAMERA_MODELS)}"
+        )
+    for field in DISTORTION:
+        if number(entry.get(field, 0), field, who) != 0:
+            raise GeoEvsError(
+                f"{who} has the lens distortion {field} = {entry[field]:g}; undistort its images "
+                "to a pinhole, and write 0"
+            )
 
 
 def write_scene(
@@ -79,12 +117,19 @@ def write_scene(
     """Write a scene store, whole or not at all, reading one frame at a time.
 
     Raises:
-        GeoEvsError: the scene has no frame, a camera lacks an image, or nothing can be written.
+        GeoEvsError: the scene has no frame, a camera lacks an image, something cannot be true of
+            the scene (see `geoevs.scenes.checks`), or nothing can be written.
     """
+    who = f"scene '{info.name}'"
+    check_info(info, who)
+    check_tracks(tracks, who)
     with new_folder(folder) as partial:
         entries = []
+        seconds = -math.inf
         for frame in frames:
-            _check_frame(info, frame)
+            where = f"frame {frame_number(frame.frame, who)} of {who}"
+            seconds = timestamp(frame.timestamp, where, seconds)
+            points = _checked_frame(info, frame, where)
             for name in info.cameras:
                 path = f"images/{view_key(name, frame.frame)}.png"
                 write_image(partial / path, frame.images[name])
@@ -98,17 +143,18 @@ def write_scene(
                         **camera_to_json(frame.cameras[name]),
                     }
                 )
-            arrays = {name: getattr(frame.points, name) for name in POINT_FIELDS}
+            arrays = {name: getattr(points, name) for name in POINT_FIELDS}
             write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
         if not entries:
             raise GeoEvsError(f"scene '{info.name}' has no frames; check its frame range")
         write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
         write_json(partial / "transforms.json", {"camera_model": "OPENCV", "frames": entries})
-        write_json(partial / "scene.json", dataclasses.asdict(info))
+        described = {**vars(info), "rig": vars(info.rig), "made_with": dict(info.made_with)}
+        write_json(partial / "scene.json", described)
 
 
-def _check_frame(info: SceneInfo, frame: Frame) -> None:
-    where = f"frame {frame.frame} of scene '{info.name}'"
+def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
+    """A frame's points, after all that it holds was checked."""
     for name in info.cameras:
         if name not in frame.cameras or name not in frame.images:
             raise GeoEvsError(f"{where} has no camera '{name}'; supply it or leave out the frame")
@@ -116,79 +162,165 @@ def _check_frame(info: SceneInfo, frame: Frame) -> None:
         if image.shape != (camera.height, camera.width, 3):
             raise GeoEvsError(
                 f"{where}: camera '{name}' is {camera.height} x {camera.width} but its image is "
-                f"{image.shape[0]} x {image.shape[1]}; resize them together"
+                f"{' x '.join(map(str, image.shape[:2]))}; resize them together"
             )
-    if not np.isfinite(frame.points.xyz).all():
-        raise GeoEvsError(f"{where} has LiDAR points that are NaN or infinite; drop those rows")
+        if image.dtype != np.uint8 and not np.isfinite(image).all():
+            raise GeoEvsError(f"{where}: the image of camera '{name}' has NaN; make it again")
+    check_rig(info.rig, {name: frame.cameras[name] for name in info.cameras}, where)
+    return checked_points(frame.points, len(info.cameras), where)
 
 
 def _read_info(path: Path) -> SceneInfo:
     described = read_json(path)
     try:
         rig, cameras = Rig(**described["rig"]), tuple(described["cameras"])
-        return SceneInfo(**{**described, "rig": rig, "cameras": cameras})
-    except (KeyError, TypeError) as error:
-        raise GeoEvsError(f"{path} describes no scene ({error}); remake the store") from error
+        origin = tuple(described.get("origin", (0.0, 0.0, 0.0)))
+        described = {**described, "rig": rig, "cameras": cameras, "origin": origin}
+        described["made_with"] = dict(described.get("made_with", {}))
+        info = SceneInfo(**described)
+    except GeoEvsError as error:
+        raise GeoEvsError(f"{path}: {error}") from error
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise GeoEvsError(
+            f"{path} describes no scene ({clean(str(error))}); remake the store"
+        ) from error
+    check_info(info, path)
+    return info
+
+
+class _View(NamedTuple):
+    """What a camera recorded in a frame."""
+
+    camera: Camera
+    image: Path
+    timestamp: float
+
+
+def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int], _View]:
+    """The views of a store by camera and frame; those of cameras that no scene lists are left out.
+
+    Raises:
+        GeoEvsError: an entry lacks something, stands there twice, or names a file that is missing,
+            another view's, or outside the store.
+    """
+    path = folder / "transforms.json"
+    described = read_json(path)
+    entries = described.get("frames") if isinstance(described, dict) else None
+    if not isinstance(entries, list):
+        raise GeoEvsError(f"{path} lists no views in 'frames'; remake the store")
+    shared = {
+        field: described[field] for field in ("camera_model", *DISTORTION) if field in described
+    }
+    views: dict[tuple[str, int], _View] = {}
+    images: set[Path] = set()
+    for entry in entries:
+        if not (isinstance(entry, dict) and {"camera", "frame"} <= entry.keys()):
+            raise GeoEvsError(f"{path} has a view without 'camera' or 'frame'; remake the store")
+        if entry["camera"] not in cameras:
+            continue
+        key = name, frame = entry["camera"], frame_number(entry["frame"], path)
+        who = f"{path}: camera '{name}' in frame {frame}"
+        for field in ("file_path", "timestamp"):
+            if field not in entry:
+                raise GeoEvsError(f"{who} lacks '{field}'; add it")
+        image = inside(folder, entry["file_path"], path)
+        if key in views or image in images:
+            raise GeoEvsError(f"{who} stands there twice, or has another view's image; correct it")
+        if not image.is_file():
+            raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
+        images.add(image)
+        camera = camera_from_json({**shared, **entry}, name, path)
+        views[key] = _View(camera, image, timestamp(entry["timestamp"], who))
+    return views
 
 
 class Scene:
     """A scene store opened for reading; images and points are read when asked for.
 
     Raises:
-        GeoEvsError: the folder is no scene store, or a camera lacks one of the frames.
+        GeoEvsError: the folder is no scene store, a camera lacks one of the frames, or what it
+            says of cameras and times cannot be true (see `geoevs.scenes.checks`).
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
         self.info = _read_info(self.folder / "scene.json")
         self.cameras: tuple[str, ...] = self.info.cameras
-        self._transforms = self.folder / "transforms.json"
-        try:
-            entries = read_json(self._transforms)["frames"]
-            self._entries = {(entry["camera"], entry["frame"]): entry for entry in entries}
-        except (KeyError, TypeError) as error:
-            raise GeoEvsError(
-                f"{self._transforms} lists no views with 'camera' and 'frame' ({error}); "
-                "remake the store"
-            ) from error
-        self.frames: tuple[int, ...] = tuple(sorted({frame for _, frame in self._entries}))
+        self._views = _read_views(self.folder, self.cameras)
+        self.frames: tuple[int, ...] = tuple(sorted({frame for _, frame in self._views}))
+        path = self.folder / "transforms.json"
         if not self.frames:
-            raise GeoEvsError(f"{self._transforms} has no frames; remake the store")
+            raise GeoEvsError(f"{path} has no frames; remake the store")
+        seconds = -math.inf
         for frame in self.frames:
             for camera in self.cameras:
-                if (camera, frame) not in self._entries:
+                if (camera, frame) not in self._views:
                     raise GeoEvsError(
-                        f"{self._transforms} has no camera '{camera}' in frame {frame}; "
+                        f"{path} has no camera '{camera}' in frame {frame}; "
                         "add the image or remove the frame"
                     )
+            where = f"{path}: frame {frame}"
+            seconds = timestamp(self.timestamp(frame), where, seconds)
+            check_rig(
+                self.info.rig, {name: self.camera(name, frame) for name in self.cameras}, where
+            )
+
+    @cached_property
+    def stamp(self) -> str:
+        """Hash of what the store says of itself: what it was made with, its cameras and poses."""
+        files = ("scene.json", "transforms.json")
+        return text_hash(" ".join(file_hash(self.folder / name) for name in files))
 
     def camera(self, name: str, frame: int) -> Camera:
         """The calibrated camera `name` in `frame`."""
-        return camera_from_json(self._entry(name, frame), name, self._transforms)
+        return self._view(name, frame).camera
 
     def image(self, name: str, frame: int) -> np.ndarray:
-        """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`."""
-        return to_float(read_image(self.folder / self._entry(name, frame)["file_path"]))
+        """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`.
+
+        Raises:
+            GeoEvsError: the file is no image, or one of another size than its camera.
+        """
+        camera, path, _ = self._view(name, frame)
+        image = read_image(path)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise GeoEvsError(
+                f"{path} is {image.shape[0]} x {image.shape[1]}, but transforms.json says "
+                f"{camera.height} x {camera.width}; resize the image, or w, h and the intrinsics"
+            )
+        return to_float(image)
 
     def timestamp(self, frame: int) -> float:
         """Seconds at which `frame` was recorded."""
-        return self._entry(self.cameras[0], frame)["timestamp"]
+        return self._view(self.cameras[0], frame).timestamp
 
     def points(self, frame: int) -> PointCloud:
-        """The coloured LiDAR points of `frame`."""
+        """The coloured LiDAR points of `frame`.
+
+        Raises:
+            GeoEvsError: the file is missing or damaged, or holds what no LiDAR measures.
+        """
         path = self.folder / f"lidar/{frame:06d}.npz"
         arrays = read_arrays(path)
-        with whole_file(path):
-            return PointCloud(**{name: arrays[name] for name in POINT_FIELDS})
+        for name in POINT_FIELDS:
+            if name not in arrays:
+                raise GeoEvsError(f"{path} has no array '{name}'; add it or remake the store")
+        points = PointCloud(**{name: arrays[name] for name in POINT_FIELDS})
+        return checked_points(points, len(self.cameras), path)
 
     @cached_property
     def tracks(self) -> pd.DataFrame:
-        """Boxes of moving and parked objects, one row a frame and track (see TRACK_COLUMNS)."""
+        """Boxes of moving and parked objects, one row a frame and track (see TRACK_COLUMNS).
+
+        Raises:
+            GeoEvsError: the file is missing or damaged, or holds boxes that cannot be.
+        """
         path = self.folder / "tracks.parquet"
         with whole_file(path):
-            return pd.read_parquet(path)
+            tracks = pd.read_parquet(path)
+        return check_tracks(tracks, path)
 
-    def _entry(self, name: str, frame: int) -> dict[str, Any]:
+    def _view(self, name: str, frame: int) -> _View:
         if name not in self.cameras:
             raise GeoEvsError(
                 f"scene '{self.info.name}' has no camera '{name}'; "
@@ -199,4 +331,4 @@ class Scene:
                 f"scene '{self.info.name}' has no frame {frame} "
                 f"(it has {self.frames[0]} to {self.frames[-1]})"
             )
-        return self._entries[name, frame]
+        return self._views[name, frame]

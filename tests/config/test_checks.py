@@ -30,7 +30,7 @@ protocol:
   pose_sweep: {angles: [5], every: 2}
   reference_keep: [1.0, 0.5]
   masked: {yaw: [10], lateral: [-3, 3], every: 1}
-budget: {fit_seconds: null}
+budget: {fit_seconds: null, limits: {fit: 9, render: 9, training: null}}
 methods:
   reference: {}
   reproject-inpaint.best: {options: {inpaint: fsr-best}, seeds: [0, 2]}
@@ -105,9 +105,9 @@ def merged(*texts: str) -> dict:
             "suport: [0.02]",
             r"config.yaml:\d+: there is no stressor 'suport'; did you mean 'support'",
         ),
-        ("support: [0.02]", "support: [-1]", "-1 is less than the minimum"),
+        ("support: [0.02]", "support: [-1]", "-1 is too small; make it 0 or more"),
         ("best: {inpaint: telea}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
-        ("{inpaint: telea}", "{paint: no}", "'paint'"),
+        ("{inpaint: telea}", "{paint: 1}", "'paint'"),
         ("best: {inpaint: telea}", "best: {}, reference: {}", "nothing that could be stressed"),
     ],
 )
@@ -185,15 +185,27 @@ MISTAKES = {
         "",
         "14: the key 'every' is missing under 'protocol.pose_sweep'; add it",
     ),
-    "wrong type": ("seed: 3", "seed: three", "2: 'seed' is wrong: 'three' is not of type 'int"),
+    "wrong type": (
+        "seed: 3",
+        "seed: three",
+        "2: 'seed' is wrong: 'three' is of another t",
+    ),
     "no list": (
         "[48, 72]",
         "48",
-        "3: 'resolution' is wrong: 48 is not of type 'array' (it means: Height and width of ",
+        "3: 'resolution' is wrong: 48 is of another type; write a list, such as [1, 2]",
     ),
-    "one size": ("[48, 72]", "[48]", "3: 'resolution' is wrong: [48] is too short (it means: "),
-    "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is less than the min"),
-    "null": ("confidence: 0.95", "confidence: null", "27: 'tables.confidence' is wrong: None"),
+    "one size": (
+        "[48, 72]",
+        "[48]",
+        "3: 'resolution' is wrong: [48] is too short; write 2",
+    ),
+    "too small": ("[48, 72]", "[48, 2]", "3: 'resolution.1' is wrong: 2 is too small; make it 16"),
+    "null": (
+        "confidence: 0.95",
+        "confidence: null",
+        "27: 'tables.confidence' is wrong: null",
+    ),
     "a run that is a path": ("run: test", "run: ../a", "1: '../a' is not an allowed name; use "),
     "a data set that is a path": (
         "  real:\n",
@@ -292,17 +304,17 @@ MISTAKES = {
     "fine-tuning of no steps": (
         "steps: 2,",
         "steps: 0,",
-        "32: 'geometry.finetune.steps' is wrong: 0 is less than the minimum of 1 (it means: Opt",
+        "32: 'geometry.finetune.steps' is wrong: 0 is too small; make it 1 or more (it means: Opt",
     ),
     "an unknown supervision": (
         "supervision: dense",
         "supervision: sparse",
-        "31: 'geometry.supervision' is wrong: 'sparse' is not one of ['dense', 'lidar'] (it means",
+        "31: 'geometry.supervision' is wrong: there is no 'sparse'; one of: dense, lidar (it means",
     ),
     "no pretraining": (
         "prior: *o",
         "prior: null",
-        "36: 'pretrain.prior' is wrong: None is not of type 'object'",
+        "36: 'pretrain.prior' is wrong: null is of another type; write NAME: VALUE, ",
     ),
     "edges that fall": (
         "pose_bins: [0, 10]",
@@ -321,12 +333,12 @@ MISTAKES = {
         "23: there is no method 'truth'; ",
     ),
     "one edge": ("pose_bins: [0, 10]", "pose_bins: [0]", "24: 'tables.pose_bins' is wrong: [0]"),
-    "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has non-uni"),
+    "a shift twice": ("[-1, 1]", "[1, 1]", "13: 'protocol.lateral' is wrong: [1, 1] has somethi"),
     "an angle twice": ("[5]", "[5, 5.0]", "14: 'protocol.pose_sweep.angles' is wrong: [5, 5.0]"),
     "a mask beyond the side camera": (
         "[0, 1], lateral",
         "[0, 1.5], lateral",
-        "38: 'conditions.masks.yaw.1' is wrong: 1.5 is greater than the maximum of 1",
+        "38: 'conditions.masks.yaw.1' is wrong: 1.5 is too large; make it 1 or less",
     ),
     "a mask that tests": (
         "[-2, 2]",
@@ -334,7 +346,7 @@ MISTAKES = {
         "38: masks shifted by 3 m are what protocol.masked tests with; change one of them",
     ),
     "no masks": ("[-2, 2]", "[]", "38: 'conditions.masks.lateral' is wrong: [] "),
-    "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] should be non-e"),
+    "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] is too short; w"),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }
 
@@ -352,7 +364,7 @@ def test_a_mistake_is_one_sentence_with_its_line(check, tmp_path, kind):
 def test_the_later_file_is_blamed_only_for_what_it_sets(tmp_path):
     base, over, empty = (tmp_path / name for name in ("base.yaml", "over.yaml", "empty.yaml"))
     base.write_text(VALID)
-    empty.write_text("# nothing\n")
+    empty.write_text("{}\n")
 
     def sentence(text: str) -> str:
         over.write_text(text)
@@ -393,7 +405,7 @@ def test_a_method_that_lacks_a_package_is_named(check, tmp_path, monkeypatch):
     (tmp_path / "needy").mkdir()
     (tmp_path / "needy/adapter.py").write_text("import no_such_package\n")
     monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
-    with pytest.raises(GeoEvsError, match=r"method 'needy' cannot be imported \(No module named"):
+    with pytest.raises(GeoEvsError, match=r"method 'needy' cannot be imported \(ModuleNotFound"):
         check("reference: {}", "needy: {options: {a: 1}}")
 
 

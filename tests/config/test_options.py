@@ -17,7 +17,7 @@ OPTIONS = {
     "emernerf": (
         (
             "iterations: '1e3'",
-            "cannot have '1e3' for its option 'iterations'; write a whole",
+            "cannot have '1e3' for its option 'iterations'; write 1000 (YAML takes '1e3'",
         ),
         (
             "iterations: lots",
@@ -26,21 +26,24 @@ OPTIONS = {
         ("iterations: -1", "cannot have -1 for its option 'iterations'; make it 1 or more"),
         ("iterations: 2.5", "cannot have 2.5 for its option 'iterations'; write a whole"),
         ("rays: null", "cannot have null for its option 'rays'; write a whole"),
-        ("learning_rate: .inf", "cannot have inf for its option 'learning_rate'; write a number"),
+        (
+            "learning_rate: .inf",
+            "options.learning_rate' is wrong: inf is not a num",
+        ),
         ("samples: [1, 2]", "cannot have [1, 2] for its option 'samples'; write a list of 3"),
         ("levels: 3", "cannot have 3 for its option 'levels'; make it 4 or more"),
     ),
     "three-dgs": (
         (
             "gaussians: '4000'",
-            "cannot have '4000' for its option 'gaussians'; write a whole",
+            "cannot have '4000' for its option 'gaussians'; write 4000",
         ),
         ("gaussians: 5", "cannot have 5 for its option 'gaussians'; make it 100 or more"),
         ("densification: mcmcc", "for its option 'densification'; did you mean 'mcmc'? (one of: "),
         ("sfm_cache: 3", "cannot have 3 for its option 'sfm_cache'; write text"),
     ),
     "reproject-inpaint": (
-        ("inpaint: no", "cannot have False for its option 'inpaint'; write text"),
+        ("inpaint: no", "YAML reads no as false; write false, or 'no' in quotes if text"),
         ("inpaint: tela", "cannot have 'tela' for its option 'inpaint'; did you mean 'telea'?"),
         ("frames: every", "cannot have 'every' for its option 'frames'; one of: all, own"),
     ),
@@ -48,18 +51,18 @@ OPTIONS = {
         ("sampler: nonsense", "for its option 'sampler'; one of: ddim, dpm-solver, euler"),
         ("steps: 0", "cannot have 0 for its option 'steps'; choose from 1 to 1000"),
         ("guidance: -1", "cannot have -1 for its option 'guidance'; make it 0 or more"),
-        ("average: true", "cannot have True for its option 'average'; write a whole"),
+        ("average: true", "cannot have true for its option 'average'; write a whole"),
     ),
     "freevs": (("sigma_max: 0", "cannot have 0 for its option 'sigma_max'; make it more"),),
     "external": (("folder: 5", "cannot have 5 for its option 'folder'; write text"),),
 }
 STREET = (
-    ("frames: '8'", "cannot have '8' for its option 'frames'; write a whole"),
+    ("frames: '8'", "cannot have '8' for its option 'frames'; write 8 ("),
     ("frames: 2.5", "cannot have 2.5 for its option 'frames'; write a whole"),
-    ("frames: true", "cannot have True for its option 'frames'; write a whole"),
+    ("frames: true", "cannot have true for its option 'frames'; write a whole"),
     ("frames: 61", "cannot have 61 for its option 'frames'; choose from 1 to 60"),
-    ("samples: '9'", "cannot have '9' for its option 'samples'; write a whole"),
-    ("interval: '0.1'", "cannot have '0.1' for its option 'interval'; write a number"),
+    ("samples: '9'", "cannot have '9' for its option 'samples'; write 9 ("),
+    ("interval: '0.1'", "cannot have '0.1' for its option 'interval'; write 0.1 ("),
     ("interval: 0", "cannot have 0 for its option 'interval'; make it more than 0"),
     ("traffic_speed: -1", "cannot have -1 for its option 'traffic_speed'; choose from 0 to 40"),
     ("frames: 60, interval: 1.0", "street's options make 60 frames of 1.0 s each; streets last"),
@@ -89,7 +92,7 @@ def refusal(text: str, tmp_path: Path) -> str:
 def test_a_methods_option(tmp_path, method, option, sentence):
     text = f"methods:\n  {method}:\n    options:\n      {option}\n"
     said = refusal(text, tmp_path)
-    assert said.startswith(f":4: method '{method}' cannot have ")
+    assert said.startswith(":4: ")
     assert sentence in said
 
 

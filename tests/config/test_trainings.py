@@ -128,11 +128,11 @@ MISTAKES = {
     "a number that YAML takes for text": (
         "trainings: {geo-evs: {learning_rate: 1e-3}}",
         "over.yaml:1: the training of 'geo-evs' cannot have '1e-3' for its option "
-        "'learning_rate'; write a number, such as 0.5 or 1.0e-3",
+        "'learning_rate'; write 0.001 (YAML takes '1e-3' for text)",
     ),
     "no number": (
         "trainings: {geo-evs: {learning_rate: .nan}}",
-        "over.yaml:1: the training of 'geo-evs' cannot have nan for its option 'learning_rate'",
+        "over.yaml:1: 'trainings.geo-evs.learning_rate' is wrong: nan is not a number",
     ),
     "a variant that is a path": (
         "trainings: {geo-evs: {variants: {../v1: {}}}}",

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.networks import load_weights, read_network, save_network
+from geoevs.core.networks import built_as_described, load_weights, read_network, save_network
 
 SETTINGS = {"sizes": [3, 2], "name": "net"}
 
@@ -114,3 +114,37 @@ def test_the_same_network_is_the_same_bytes(saved, tmp_path):
     again = tmp_path / "again.safetensors"
     save_network(again, network(1), SETTINGS)
     assert again.read_bytes() == saved.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"depth": 10**9},
+        {"layers_per_block": [2, 500]},
+        {"width": 2**40},
+        {"eps": float("nan")},
+        [3],
+    ],
+)
+def test_settings_beyond_what_the_weights_hold_are_refused_at_once(tmp_path, lie):
+    path = tmp_path / "net.safetensors"
+    save_network(path, network(1), lie)
+    with pytest.raises(GeoEvsError, match=r"net\.safetensors is not whole \(.*\); delete it"):
+        read_network(path)
+
+
+@pytest.mark.parametrize("settings", [{}, {"width": "wide"}, {"width": 3, "colour": 1}])
+def test_settings_that_describe_no_network_are_one_sentence(tmp_path, settings):
+    path = tmp_path / "net.safetensors"
+    message = r"net\.safetensors describes no network of this kind \(.*\); name another"
+    with (
+        pytest.raises(GeoEvsError, match=message),
+        built_as_described(path, "name another"),
+    ):
+        (lambda width: nn.Linear(width, 2))(**settings)
+
+
+def test_weights_that_are_not_finite_are_refused(saved):
+    _, weights = read_network(saved)
+    weights["0.bias"][0] = torch.nan
+    assert "'0.bias' with NaN or infinite weights; name another" in refused(weights, saved)

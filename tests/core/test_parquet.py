@@ -1,8 +1,12 @@
+import math
+
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.parquet import join_parquet, write_parquet
+from geoevs.core.parquet import SEAL, join_parquet, write_parquet
 
 
 def test_files_are_joined_in_the_order_given(tmp_path):
@@ -11,6 +15,41 @@ def test_files_are_joined_in_the_order_given(tmp_path):
         write_parquet(part, pd.DataFrame({"a": pd.array(values, "int64")}, index=[*values]))
     join_parquet(tmp_path / "all.parquet", parts)
     assert pd.read_parquet(tmp_path / "all.parquet").to_dict("list") == {"a": [1, 2, 0]}
+    assert SEAL not in pq.read_schema(tmp_path / "all.parquet").metadata  # the first part's
+
+
+ROWS = pd.DataFrame({"a": ["x", "", "ü"], "b": [1.0, math.nan, -0.0], "c": [1, 2, 2**62]})
+ROWS["d"] = ROWS["a"].astype("string")
+
+
+def rewrite(path, **changed):
+    """Write a part over by other rows, whose file keeps the first one's seal."""
+    table = pq.read_table(path)
+    rows = table.to_pandas().assign(**changed)
+    other = pa.Table.from_pandas(rows, preserve_index=False)
+    pq.write_table(other.replace_schema_metadata(table.schema.metadata), path)
+
+
+# What is done to a part, and what its error says.
+CHANGED = {
+    "a value": (lambda path: rewrite(path, b=[99.0, math.nan, 0.5]), "was changed after its rows"),
+    "a name": (lambda path: rewrite(path, a=["y", "", "ü"]), "was changed after its rows"),
+    "no seal": (lambda path: ROWS.to_parquet(path, index=False), "carries no seal, as files of"),
+}
+
+
+@pytest.mark.parametrize("kind", CHANGED)
+def test_rows_that_were_written_over_are_refused(tmp_path, kind):
+    change, sentence = CHANGED[kind]
+    parts = [tmp_path / "a.parquet", tmp_path / "b.parquet"]
+    for part in parts:
+        write_parquet(part, ROWS)
+    join_parquet(tmp_path / "all", parts)
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "all")[:3], ROWS)
+    change(parts[1])
+    with pytest.raises(GeoEvsError, match=rf"^{parts[1]} {sentence}.*; delete it and make it agai"):
+        join_parquet(tmp_path / "other", parts)
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(

@@ -69,9 +69,14 @@ BAD = {
     "share": [
         (1.5, "choose from 0 to 1"),
         (-0.1, "choose from 0 to 1"),
-        (math.nan, "write a number"),
+        (math.nan, "write a finite number"),
     ],
-    "rate": [(0, "make it more than 0"), ("1e-3", "such as 0.5 or 1.0e-3"), (math.inf, "a number")],
+    "rate": [
+        (10**400, "a finite number of 1e+15"),
+        (0, "make it more than 0"),
+        ("1e-3", "write 0.001 ("),
+        (math.inf, "a finite"),
+    ],
     "flag": [(1, "write true or false"), ("yes", "write true or false")],
     "inner": [(3, "write its settings as NAME: VALUE")],
     "sizes": [
@@ -79,7 +84,7 @@ BAD = {
         ([0, 1], "of each in the list: make it 1"),
         ("12", "a list"),
     ],
-    "angles": [(1.0, "write a list"), ([1, "2"], "of each in the list: write a number")],
+    "angles": [(1.0, "write a list"), ([1, "2"], "of each in the list: write 2.0 (")],
     "names": [([], "NAME: VALUE"), ({"a": 0.5}, "write a whole number")],
     "cap": [
         (0, "choose from 1 to 9"),

@@ -11,7 +11,7 @@ import torch
 
 from geoevs.cli import main as cli
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, write_arrays
+from geoevs.core.files import read_json, to_uint8, write_arrays
 from geoevs.core.networks import read_network
 from geoevs.geometry import finetuning
 from geoevs.geometry.finetuning import FAR, read_depth_frames
@@ -19,6 +19,7 @@ from geoevs.geometry.vggt import VGGT_NANO, load_vggt
 from geoevs.methods.tiny import HEIGHT, WIDTH
 from geoevs.projection import zbuffer
 from geoevs.scenes.depths import read_depths
+from geoevs.scenes.store import Scene
 
 
 def test_truth_supervises_where_it_is(tiny, tiny_depths, tmp_path):
@@ -55,6 +56,30 @@ def test_large_frames_are_learned_at_the_networks_own_size(tiny, tiny_depths, tm
         camera = tiny.camera(name, 0).resized(height, width)
         sparse = zbuffer(tiny.points(0).xyz, camera, visibility="footprint").depth
         np.testing.assert_allclose(frames.depths[2, place], sparse, rtol=1e-3)
+
+
+def test_a_public_network_learns_from_what_it_is_shown(tiny, tiny_depths, tmp_path, monkeypatch):
+    public = replace(VGGT_NANO, patch_size=14, dino_depth=1, longest=140)
+    camera = Scene.camera
+
+    def recorded(self, name, frame):  # as if the left camera's image had been half as high
+        one = camera(self, name, frame)
+        K = one.K.copy()
+        K[1, 1] *= 2 if name == "left" else 1
+        return replace(one, K=K)
+
+    monkeypatch.setattr(Scene, "camera", recorded)
+    frames = read_depth_frames([tiny.folder, tiny.folder], [tiny_depths, tmp_path], public)
+    cameras = [tiny.camera(name, 0) for name in tiny.cameras]
+    images = [to_uint8(tiny.image(name, 0)) for name in tiny.cameras]
+    shown, windows = public.shown(images, cameras)
+    np.testing.assert_array_equal(frames.images[0], shown)
+    left = tiny.cameras.index("left")
+    assert windows[left] == (slice(25, 67), slice(0, 140))  # of 93 rows: 98, and 42 of its own
+    for depths in frames.depths[[0, 2], left]:
+        assert (depths[windows[left]] > 0).any()
+        depths[windows[left]] = 0
+        assert not depths.any()  # nothing is known of the white around it
 
 
 def test_sky_is_far(tiny, tmp_path):

@@ -158,6 +158,61 @@ def test_a_training_may_raise_anything(trained, tmp_path, capsys):
     assert "error: RuntimeError: out of luck" in capsys.readouterr().err
 
 
+# Lines of `prepare` that break it, and the reason that reaches the entrants.
+UNPREPARED = {
+    "raises": ('raise KeyError("no colours")', "KeyError: 'no colours' (while preparing scene)"),
+    "leaves": ("import os; os._exit(0)", "ended by itself with exit code 0 (while preparing"),
+    "hangs": ("import time; time.sleep(600)", "timeout: it took longer than 3 s (while preparing"),
+    "no file": ("return", "it wrote no file; write the path that it is given (while preparing"),
+    "no memory": ("raise MemoryError", "machine: MemoryError: no message (while preparing scene)"),
+}
+
+
+@pytest.mark.parametrize("kind", UNPREPARED)
+def test_what_cannot_be_prepared_fails_the_training_alone(trained, tmp_path, kind):
+    line, reason = UNPREPARED[kind]
+    signature = "def prepare(self, scene: Scene, inputs: Inputs, out: Path) -> None:\n"
+    method = trained((signature, f"{signature}        {line}\n"))
+    scene = write_tiny_scene(tmp_path / "scene")
+    limit = 3.0 if kind == "hangs" else None
+    prepare_scene(method, scene.folder, Inputs(), tmp_path / "prepared.npz", limit)
+    told = read_json(tmp_path / "prepared.npz")
+    assert told["attempt"] == (kind == "no memory")
+    assert told.get("limit") == limit
+    train = (method, {}, [tmp_path / "prepared.npz"], Inputs(), 0, tmp_path / "w", tmp_path / "out")
+    train_method(*train)
+    failure = read_json(tmp_path / "out/failure.json")
+    assert reason in failure["reason"]
+    assert failure["attempt"] == 0  # that of the preparation counts
+
+
+def test_a_training_at_its_limit_goes_on_to_the_same_bytes(trained, tmp_path):
+    method = trained(("report)\n", "report)\n        import time; time.sleep(float(Path("
+                      f"{str(tmp_path / 'sleep')!r}).read_text()))\n"))  # fmt: skip
+    scene = write_tiny_scene(tmp_path / "scene")
+    prepared = [tmp_path / "prepared.npz"]
+    prepare_scene(method, scene.folder, Inputs(), prepared[0])
+
+    def train(place, sleep, **more):
+        (tmp_path / "sleep").write_text(sleep)
+        folders = tmp_path / "work" / place, tmp_path / "out" / place
+        train_method(method, {"steps": 4}, prepared, Inputs(), 0, *folders, **more)
+        return {path.name: path.read_bytes() for path in folders[1].iterdir()}
+
+    whole = train("whole", "0")
+    stopped = train("stopped", "600", limit=8.0)
+    assert list(stopped) == ["failure.json"]
+    told = read_json(tmp_path / "out/stopped/failure.json")
+    assert told["reason"] == "timeout: it took longer than 8 s"
+    assert (told["limit"], told["stage"], told["attempt"]) == (8.0, "training", 0)
+    resumed = train("stopped", "0", limit=600.0, attempt=2)
+    assert read_json(tmp_path / "out/stopped/attempt.json") == {"attempt": 2}
+    for files in (whole, resumed):
+        files.pop("seconds.json")
+    resumed.pop("attempt.json")
+    assert resumed == whole
+
+
 def test_a_training_that_combines_nothing_says_so(trained, tmp_path):
     method = trained()
     with pytest.raises(GeoEvsError, match=f"^the training of '{method}' has no 'combine'; leave"):

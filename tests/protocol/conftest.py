@@ -4,17 +4,19 @@ import os
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
 
 import baselines
 from geoevs import layout
-from geoevs.core.files import read_json
+from geoevs.core.files import read_json, write_json
 from geoevs.methods.contract import Budget
 from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
 from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.runs import fit_method, render_method
@@ -124,6 +126,16 @@ class Stage:
         """Write the targets of some splits, of frame 0 alone, so that steps are quick."""
         write_targets(path, [t for t in self.targets if t.split in splits and t.frame == 0])
         return path
+
+    @staticmethod
+    def seal(renders: Path, outcomes: dict[str, dict]) -> None:
+        """Write the outcomes of a rendering whose pictures lie there, as `render_method` does."""
+        found = (path.relative_to(renders).with_suffix("") for path in renders.rglob("*.png"))
+        views = [SimpleNamespace(key=str(key)) for key in found]
+        sealed = {PICTURES: seal_pictures(renders, views)}
+        write_json(
+            renders / "render.json", {name: {**of, **sealed} for name, of in outcomes.items()}
+        )
 
     def linked(self, run: Path, *without: str) -> Answers:
         """The answers in a run of its own, all the same files but those of some patterns."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import write_arrays, write_image, write_json
+from geoevs.core.files import write_arrays, write_image
 from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
 from geoevs.protocol.entries import MethodEntry
@@ -24,10 +24,10 @@ def rows(stage, tmp_path_factory):
     write_arrays(answers.path(layout.DEPTHS) / "000000.npz", depths)
     for method, status in (("perfect", "ok"), ("bright", "ok"), ("gone", "failed")):
         renders = answers.renders(method)
-        write_json(renders / "render.json", {"all-cameras": {**FINE, "status": status}})
         for target in targets:
             picture = answers.truth(target) + 0.1 * (method == "bright")
             write_image(renders / f"{target.key}.png", picture)
+        stage.seal(renders, {"all-cameras": {**FINE, "status": status}})
     entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
     return audit_rows(answers, entries, seed=0)
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, to_uint8, write_image, write_json
+from geoevs.core.files import read_arrays, read_image, to_uint8, write_image
 from geoevs.core.randomness import Rng
+from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
 from geoevs.protocol.condition_masks import (
@@ -121,6 +122,7 @@ def test_a_lens_of_its_own_gets_a_cloud_of_its_own(stage, reproject):
 def test_the_masks_hold_nothing_that_scores(stage, masked):
     stored = read_arrays(stage.answers.path(layout.MASKS))
     names = {f"{target.key}/{name}" for target in masked for name in ("keep", "reprojected")}
+    stored.pop(MADE_WITH)
     assert set(stored) == names
     assert {array.dtype.kind for array in stored.values()} == {"b"}
 
@@ -162,7 +164,7 @@ def scored(stage, masked, tmp_path):
     write_targets(answers.path(layout.TARGETS), masked)
 
     def score(**outcome):
-        write_json(renders / "render.json", {"all-cameras": {**OK, **outcome}})
+        stage.seal(renders, {"all-cameras": {**OK, **outcome}})
         return score_frame(score_method(entry, answers, [1.0, 0.5], "f"))
 
     return score

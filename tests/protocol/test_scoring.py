@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,10 +68,6 @@ def entry(name):
 def answers(stage, tmp_path_factory):
     """A run with the reference's own renders, and one grey for all targets."""
     answers = stage.linked(tmp_path_factory.mktemp("run"))
-    for name in ("reference", "grey", "failed"):
-        outcome = FAILED if name == "failed" else OK
-        outcomes = {"all-cameras": outcome, "front-side": OK}
-        write_json(answers.renders(entry(name).label) / "render.json", outcomes)
     for sources in ("all-cameras", "front-side"):
         folder = str(answers.renders(entry(REFERENCE).label))
         oracle_step(REFERENCE, str(answers.run), "d", "s", sources, folder)
@@ -78,6 +75,9 @@ def answers(stage, tmp_path_factory):
     for target in stage.targets:
         for name in ("grey", "failed"):
             write_image(answers.renders(entry(name).label) / f"{target.key}.png", grey)
+    for name in ("reference", "grey", "failed"):
+        outcome = FAILED if name == "failed" else OK
+        stage.seal(answers.renders(entry(name).label), {"all-cameras": outcome, "front-side": OK})
     return answers
 
 
@@ -203,11 +203,52 @@ def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):
     assert 0.01 < 1 - black.mean() < 0.9
 
 
-def test_a_missing_render_is_named(stage, tmp_path):
+# What happens to one picture before or after it is sealed, and the reason that its rows get.
+TAMPERED = {
+    "not made": (False, Path.unlink, "no picture of this view was left"),
+    "no picture": (False, lambda path: path.write_bytes(b"png"), "is not a whole PNG or JPEG image"),
+    "another size": (False, lambda path: write_image(path, np.zeros((9, 9, 3))), "shape is (9, 9"),
+    "a link": (False, lambda path: relink(path), "no picture of this view was left"),
+    "removed": (True, Path.unlink, "was removed after it was rendered"),
+    "replaced": (
+        True,
+        lambda path: write_image(path, np.ones((48, 72, 3))),
+        "is another picture than was rendered; something wrote over it",
+    ),
+}
+
+
+def relink(path):
+    path.rename(path.with_suffix(".moved"))
+    path.symlink_to(path.with_suffix(".moved"))
+
+
+@pytest.mark.parametrize("kind", TAMPERED)
+def test_a_picture_that_is_not_what_was_rendered_fails_its_view_alone(stage, tmp_path, kind):
+    sealed, change, reason = TAMPERED[kind]
+    answers = stage.linked(tmp_path)
+    renders = answers.renders(entry("grey").label)
+    for target in stage.targets:
+        write_image(renders / f"{target.key}.png", np.full((48, 72, 3), 115, np.uint8))
+    if not sealed:
+        change(renders / "left/000001.png")
+    stage.seal(renders, {"all-cameras": OK, "front-side": OK})
+    if sealed:
+        change(renders / "left/000001.png")
+    rows = scored(answers, "grey")
+    failed = rows["status"] == "failed"
+    mine = (rows["target"] == "left") & (rows["frame"] == 1) & (rows["split"] == "observed")
+    assert failed.equals(mine)
+    assert rows[failed]["value"].isna().all()
+    assert set(rows[failed]["stage"]) == {"render"}
+    assert all(reason in text for text in rows[failed]["reason"])
+
+
+def test_renders_of_an_earlier_version_are_named(stage, tmp_path):
     answers = stage.linked(tmp_path)
     outcomes = {"all-cameras": OK, "front-side": OK}
     write_json(answers.renders(entry("grey").label) / "render.json", outcomes)
-    with pytest.raises(GeoEvsError, match=r"grey\.v\.seed4/front/000000\.png is missing"):
+    with pytest.raises(GeoEvsError, match=r"grey\.v\.seed4 does not say which pictures .* rerun$"):
         scored(answers, "grey")
 
 
@@ -227,7 +268,7 @@ def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
 
 def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
-    spent["training_seconds"] = 120.0
+    spent |= {"training_seconds": 120.0, "load_seconds": 1.5, "warm_up_seconds": 0.75}
     outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
     who, answers = MethodEntry("m", "v", {}, 1), Answers(tmp_path, "d", "s")
     write_json(answers.renders(who.label) / "render.json", outcomes)
@@ -237,12 +278,11 @@ def test_costs_by_hand(tmp_path):
         **answers.place,
         **{"method": "m", "variant": "v", "seed": 1, "sources": "all-cameras"},
         **{"fit_seconds": 2.0, "render_seconds": 0.5, "peak_memory": 9, "gpu_memory": 5},
-        "training_seconds": 120.0,
+        **{"training_seconds": 120.0, "load_seconds": 1.5, "warm_up_seconds": 0.75},
         **{"primitives": 3, "parameters": 0, "bytes": 7, "device": "cuda", "threads": 2},
         **{"note": "n", "status": "ok", "stage": "", "reason": "", "log": ""},
     }
     assert (failed["status"], failed["reason"], failed["log"]) == ("failed", "no points", "fit.log")
-    assert math.isnan(failed["fit_seconds"])
-    assert math.isnan(failed["training_seconds"])
-    assert math.isnan(failed["render_seconds"])
+    for part in ("fit", "training", "load", "warm_up", "render"):
+        assert math.isnan(failed[f"{part}_seconds"])
     assert failed["device"] == "cpu"

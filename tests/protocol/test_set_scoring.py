@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs.core.files import to_uint8, write_image, write_json
+from geoevs.core.files import to_uint8, write_image
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.set_scoring import SET_TYPES, score_sets, set_frame
 
@@ -20,12 +20,12 @@ def run(stage, tmp_path_factory):
     for label in ("copy", "grey.flat", "broken"):
         renders = answers.renders(label)
         outcome = failed if label == "broken" else OK
-        write_json(renders / "render.json", {"all-cameras": outcome, "front-side": OK})
         for target in stage.targets:
             true = to_uint8(answers.truth(target))
             write_image(
                 renders / f"{target.key}.png", true if label == "copy" else np.full_like(true, 128)
             )
+        stage.seal(renders, {"all-cameras": outcome, "front-side": OK})
     return answers.run
 
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_json, write_image
+from geoevs.core.files import read_json, write_image, write_json
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry
+from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import make_references
 from geoevs.protocol.rows import protocol_fingerprint
@@ -167,6 +168,9 @@ def test_clean_renders_score_poses_edges_and_spread(folder, toy):
     for target in read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny")):
         picture = np.full((48, 72, 3), 0.5 + 0.1, np.float32)
         write_image(renders / Stress(CLEAN, draw=1).key / f"{target.key}.png", picture)
+    ending = renders / Stress(CLEAN, draw=1).key / "outcome.json"
+    listed = read_targets(folder / layout.TARGETS.format(dataset="d", scene="tiny"))
+    write_json(ending, {**read_json(ending), PICTURES: seal_pictures(ending.parent, listed)})
     rows = score_stresses(MethodEntry(method), CLEAN, Answers(folder, "d", "tiny"), SETTINGS)
     assert set(rows["stressor"]) == {CLEAN, "lateral", "yaw", "edges"}
     assert set(rows[rows["stressor"] == "yaw"]["level"]) == {0.0, 45.0}

@@ -161,7 +161,7 @@ def test_markdown_by_hand(table):
         "| extrapolation sparse_psnr paper | 21.73 | 23.65 |",
     ]
     assert lines[3].startswith(
-        "| extrapolation sparse_psnr | 20.00 [20.00, 20.00] | 23.67 [20.50, "
+        "| extrapolation sparse_psnr | 20.00 [20.00, 20.00] † | 23.67 [20.50, "
     )
     assert "| seeds | 1 | 1 |" in lines
     start = lines.index("| full model minus, dB | Geo-EVS (v1) |")

@@ -9,8 +9,9 @@ import pytest
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_bytes, write_json
-from geoevs.results.compare import compare_entrants, comparison_text, paired_of, rows_of
+from geoevs.results.compare import COLUMNS, compare_entrants, comparison_text
 from geoevs.results.settings import TableSettings
+from geoevs.results.views import paired_of, rows_of
 
 SETTINGS = TableSettings(
     [0, 15, 30], [0, 0.05, 0.1], resamples=200, confidence=0.95, ablation="geo-evs"
@@ -106,10 +107,10 @@ def test_bins_and_metrics_without_a_pair_are_left_out(folder):
 def test_the_text_has_signs_intervals_and_no_empty_column():
     table = pd.DataFrame(
         [
-            ("", "sparse_psnr", 26.0, 25.5, 0.5, 0.25, 0.75, 8),
-            ("", "mae", 1, 2, -1, *[math.nan] * 2, 1),
+            ("", "sparse_psnr", 26.0, 25.5, 0.5, 0.25, 0.75, 8, 0),
+            ("", "mae", 1, 2, -1, *[math.nan] * 2, 1, 0),
         ],
-        columns=["bin", "metric", "first", "second", "difference", "low", "high", "pairs"],
+        columns=COLUMNS,
     )
     header, first, second = comparison_text(table, "mine", "other.variant").splitlines()
     assert header.split() == ["metric", "mine", "other.variant", "difference", "pairs"]

@@ -83,10 +83,10 @@ def test_a_failed_fit_is_said_and_not_averaged(rows, costs):
     table = make_complexity_table(
         scores, costs(*entrants("s"), {**failed, "status": "failed"}, *others), ENTRANTS
     ).set_index("scene")
-    assert table.loc["t", "note"] == "no chosen size here"
+    assert table.loc["t", "note"] == "no chosen size here; views are missing of default"
     assert math.isnan(table.loc["t", "regret_db"])
     assert table.loc["mean", "regret_db"] == 1.0
-    assert table.loc["mean", "note"] == "of 1 scenes"
+    assert table.loc["mean", "note"] == "of 1 scenes, not all 2"
 
 
 def test_without_fixed_sizes_a_row_says_so(rows, costs):

@@ -11,7 +11,10 @@ from geoevs.results.table_specs import TableSpec
 
 SPEC = TableSpec("A title", "observed", ("psnr", "mae"), set_metrics=("fid",))
 FID = ("fid", "fid_low", "fid_high", "fid_floor")
-NONE = dict.fromkeys(("mae", "mae_low", "mae_high", *FID), math.nan) | {"unmeasured": ""}
+NONE = dict.fromkeys(("mae", "mae_low", "mae_high", *FID), math.nan) | {
+    "unmeasured": "",
+    "partial": "",
+}
 TABLE = pd.DataFrame(
     [
         {
@@ -74,6 +77,7 @@ def test_bins_have_their_column_and_data_sets_their_own_tables():
     values = {"sparse_psnr": 20.0, "sparse_psnr_low": math.nan, "sparse_psnr_high": math.nan}
     usual = {"group": "method", "method": "m", "name": "M", "variant": "default", "bin": "0-5"}
     rest = {**values, "n": 1, "failed": 0, "below_floor": "", "unmeasured": "", "note": ""}
+    rest["partial"] = ""
     table = pd.DataFrame([{"dataset": name, **usual, **rest} for name in ("b", "a")])
     text = to_markdown(spec, table)
     assert text.index("## b") < text.index("## a")

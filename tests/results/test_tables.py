@@ -180,7 +180,11 @@ def test_failures_are_noted(table):
     other = {"method": "b", **failed}
     made = table("extrapolation", {}, {"frame": 1}, {"frame": 2, **failed}, other)
     row = one(made, method="mine")
-    assert (row["n"], row["failed"], row["note"]) == (2, 1, "failed on 1 of 3 views")
+    assert (row["n"], row["failed"], row["note"]) == (
+        2,
+        1,
+        "failed on 1 of 3 views; mean of those delivered, not ranked",
+    )
     assert one(made, method="b")["note"] == "failed on 1 of 1 views"
 
 

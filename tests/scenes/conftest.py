@@ -19,10 +19,22 @@ CAMERA_COLOURS = {
 }
 FRAMES = (3, 4)
 ENTRIES = 5  # poses and timestamps, of which only FRAMES have images and sweeps
-IMAGE_HEIGHT, IMAGE_WIDTH = 8, 12
-INTRINSICS = {"fx": 6.0, "fy": 4.0, "cx": 5.5, "cy": 3.5}
-# Forward is world x, right is world -y, down is world -z (half-way quaternion, by hand).
-FACING_X = {"w": 0.5, "x": -0.5, "y": 0.5, "z": -0.5}
+IMAGE_HEIGHT, IMAGE_WIDTH = 54, 96  # a twentieth of the released ones
+YAWS = {"front_camera": 0, "front_left_camera": 45, "front_right_camera": -45, "back_camera": 180}
+
+
+def intrinsics(name: str) -> dict[str, float]:
+    """A twentieth of the released focal lengths, the principal point in the middle."""
+    focal = {"front_camera": 98.5, "back_camera": 46.7}.get(name, 46.5)
+    return {"fx": focal, "fy": focal, "cx": 47.5, "cy": 26.5}
+
+
+def facing(yaw: float) -> dict[str, float]:
+    """The quaternion of a level camera; for 0, forward is world x, right -y and down -z."""
+    half = np.radians(yaw) / 2
+    cos, sin = np.cos(half) / 2, np.sin(half) / 2
+    # (cos, 0, 0, sin) about world z, then (1, -1, 1, -1) / 2, by hand.
+    return {"w": cos + sin, "x": -cos - sin, "y": cos - sin, "z": -cos + sin}
 
 
 class Name(NamedTuple):
@@ -169,14 +181,15 @@ def cuboid_columns() -> dict[str, np.ndarray]:
 
 def write_sequence(folder: Path) -> Path:
     """Write a whole tiny sequence into `folder`."""
-    pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "heading": FACING_X}
     for sensor in ("lidar", *(f"camera/{name}" for name in CAMERA_COLOURS)):
         (folder / sensor).mkdir(parents=True)
+        heading = facing(YAWS.get(sensor.removeprefix("camera/"), 0))
+        pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "heading": heading}
         (folder / sensor / "poses.json").write_text(json.dumps([pose] * ENTRIES))
         stamps = [100.0 + 0.1 * entry for entry in range(ENTRIES)]
         (folder / sensor / "timestamps.json").write_text(json.dumps(stamps))
     for name, colour in CAMERA_COLOURS.items():
-        (folder / "camera" / name / "intrinsics.json").write_text(json.dumps(INTRINSICS))
+        (folder / "camera" / name / "intrinsics.json").write_text(json.dumps(intrinsics(name)))
         image = Image.new("RGB", (IMAGE_WIDTH, IMAGE_HEIGHT), colour)
         for frame in FRAMES:
             image.save(folder / "camera" / name / f"{frame:02d}.jpg", quality=95)

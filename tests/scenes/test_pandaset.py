@@ -17,7 +17,7 @@ CAMERAS = ("front_camera", "front_left_camera", "front_right_camera", "back_came
 
 
 def read_all(folder: Path, scene: str = "777"):
-    """The record and the frames of `scene`, at twice the tiny images' size."""
+    """The record and the frames of `scene`, at 16 x 24 pixels."""
     record = Source(16, 24, folder=str(folder)).open(SceneRef.parse(scene))
     return record, list(record.frames)
 
@@ -68,8 +68,8 @@ def test_sweep_keeps_world_coordinates_and_tells_the_lidars_apart(pandaset):
 def test_intrinsics_move_to_our_pixel_centres_before_they_scale(pandaset):
     _, frames = read_all(pandaset)
 
-    # 12 x 8 pixels become 24 x 16: (5.5 + 0.5) * 2 = 12 and (3.5 + 0.5) * 2 = 8.
-    expected = [[12, 0, 12], [0, 8, 8], [0, 0, 1]]
+    # 96 x 54 pixels become 24 x 16: (47.5 + 0.5) / 4 = 12 and (26.5 + 0.5) * 16 / 54 = 8.
+    expected = [[98.5 / 4, 0, 12], [0, 98.5 * 16 / 54, 8], [0, 0, 1]]
     np.testing.assert_allclose(frames[0].cameras["front_camera"].K, expected)
 
 
@@ -79,10 +79,12 @@ def test_pose_projects_points_where_they_belong(pandaset):
 
     np.testing.assert_allclose(camera.centre, [1, 2, 3])
     np.testing.assert_allclose(camera.optical_axis, [1, 0, 0], atol=1e-12)
-    # Both 10 m ahead, the second 1 m to the left and 2 m up: u = 12 - 12 * 0.1, v = 8 - 8 * 0.2.
+    # Both 10 m ahead, the second 1 m to the left and 2 m up.
     world = np.array([[11, 2, 3, 1], [11, 3, 5, 1]], float)
     seen = world @ camera.camera_from_world.T[:, :3] @ camera.K.T
-    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], [[12, 8], [10.8, 6.4]])
+    np.testing.assert_allclose(
+        seen[:, :2] / seen[:, 2:], [[12, 8], [12 - 2.4625, 8 - 0.2 * 98.5 * 16 / 54]]
+    )
 
 
 def test_a_turn_about_world_z_is_a_turn_to_the_left():
@@ -188,7 +190,11 @@ def test_a_range_beyond_the_files_names_the_first_that_is_missing(pandaset):
     [
         ("camera/front_camera/intrinsics.json", lambda k: k | {"fx": 0.0}, "focal length"),
         ("camera/front_camera/intrinsics.json", lambda k: {"fx": 1.0}, "'fy'"),
-        ("camera/front_camera/intrinsics.json", lambda k: k | {"cx": None}, "download it again"),
+        (
+            "camera/front_camera/intrinsics.json",
+            lambda k: k | {"cx": None},
+            "cx is None, no finite",
+        ),
         ("camera/back_camera/poses.json", lambda p: p[:4], "4 entries, too few for frame 4"),
         ("camera/back_camera/poses.json", lambda p: {}, "too few"),
         (
@@ -199,7 +205,7 @@ def test_a_range_beyond_the_files_names_the_first_that_is_missing(pandaset):
         (
             "camera/back_camera/poses.json",
             lambda p: [{**q, "position": {"x": float("nan"), "y": 0, "z": 0}} for q in p],
-            "NaN",
+            "x is nan, no finite number",
         ),
         ("camera/back_camera/poses.json", lambda p: [None] * len(p), "download it again"),
         ("camera/back_camera/timestamps.json", lambda t: t[:4], "too few for frame 4"),
@@ -273,7 +279,7 @@ def test_a_truncated_image_is_named(pandaset):
     path = pandaset / "777/camera/front_camera/03.jpg"
     path.write_bytes(path.read_bytes()[:-40])
 
-    assert f"{path} is not a whole image" in refusal(pandaset)
+    assert f"{path} is not a whole PNG or JPEG image" in refusal(pandaset)
 
 
 def test_a_missing_rig_camera_is_named(pandaset):

@@ -2,7 +2,9 @@
 
 import gzip
 import os
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -10,6 +12,9 @@ import numpy as np
 import pytest
 from pandas.compat import pickle_compat
 
+from geoevs.projection import colour_frame, zbuffer
+from geoevs.protocol.reference import sparse_reference
+from geoevs.protocol.targets import ALL_CAMERAS, Target
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.sources.pandaset.source import Source
@@ -43,24 +48,25 @@ def half_way(front: Camera, side: Camera, shift: float) -> Camera:
     return replace(front, world_from_camera=pose)
 
 
-def support_ratio(xyz: np.ndarray, camera: Camera) -> float:
-    """Share of the pixels that at least one point falls into; xyz is [N, 3]."""
-    seen = (xyz - camera.centre) @ camera.world_from_camera[:3, :3]
-    seen = seen[seen[:, 2] > 0] @ camera.K.T
-    pixels = np.floor(seen[:, :2] / seen[:, 2:]).astype(int)
-    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
-    return len(np.unique(pixels[inside], axis=0)) / (camera.height * camera.width)
+@pytest.fixture(scope="module")
+def all_frames(real_folder):
+    """Every frame on disk at 540 x 960, and the rig."""
+    record = Source(540, 960, folder=str(real_folder)).open(SceneRef.parse("002"))
+    return record.info.rig, list(record.frames)
 
 
-@pytest.mark.parametrize("side", ["front_left", "front_right"])
-@pytest.mark.parametrize("shift", [-1.0, 1.0])
-def test_targets_have_the_known_support(real_frames, side, shift):
-    record, frame = real_frames
-    rig = record.info.rig
-    target = half_way(frame.cameras[rig.front], frame.cameras[getattr(rig, side)], shift)
-    points = frame.points
-
-    assert 0.052 < support_ratio(points.xyz[rig.scores(points)], target) < 0.061
+def test_targets_have_the_known_support(all_frames):
+    rig, frames = all_frames
+    for frame in map(colour_frame, frames):
+        points = frame.points.select(rig.scores(frame.points))
+        front = frame.cameras[rig.front]
+        for side, shift in product((rig.front_left, rig.front_right), (-1.0, 1.0)):
+            camera = half_way(front, frame.cameras[side], shift).resized(512, 512)
+            target = Target("extrapolation", frame.frame, camera, ALL_CAMERAS, 0.0, shift)
+            empty = np.zeros((512, 512), bool)
+            reference = sparse_reference(points, target, empty, np.random.default_rng(0))
+            # As rows have it: of all frames 0.044 to 0.057.
+            assert 0.04 < reference.mask().mean() < 0.062, (frame.frame, side, shift)
 
 
 def test_boxes_hold_their_points(real_frames):
@@ -108,29 +114,45 @@ def test_tables_read_as_pandas_reads_them(real_folder):
             assert (same | (table[column].isna() & expected[column].isna()).to_numpy()).all()
 
 
-def test_lidar_edges_lie_on_image_edges_without_distortion(real_folder):
-    # The left and right fifth of a wide image, where the raw lens shifts points by 30 px and more.
-    record = Source(540, 960, folder=str(real_folder)).open(SceneRef("002", 62, 62))
-    frame = next(iter(record.frames))
-    camera = frame.cameras["front_left_camera"]
-    image = cv2.cvtColor(frame.images["front_left_camera"], cv2.COLOR_RGB2GRAY)
-    gradient = np.abs(cv2.Sobel(cv2.GaussianBlur(image, (0, 0), 2), cv2.CV_32F, 1, 0))
+def test_lidar_edges_lie_on_image_edges_without_distortion(all_frames):
+    radials = (0.0, -0.165, -0.05, 0.05)  # the pinhole, about the raw lens, and a bit of either
+    strengths = [
+        edge_strength(frame.images[name], frame.points.xyz, camera, radials)
+        for frame in all_frames[1]
+        for name, camera in frame.cameras.items()
+    ]
+    # One view is noise: its objects decide. All views of twelve frames have 19,652 outlines.
+    pinhole, lens, *bent = np.concatenate(strengths, axis=1).mean(axis=1)
 
-    def edge_strength(radial: float) -> float:
-        seen = (frame.points.xyz - camera.centre) @ camera.world_from_camera[:3, :3]
-        seen = seen[seen[:, 2] > 1]
-        plane = seen[:, :2] / seen[:, 2:]
-        seen, plane = (a[np.abs(plane).max(axis=1) < 1.1] for a in (seen, plane))
-        squared = np.sum(plane**2, axis=1, keepdims=True)
-        pixels = plane * (1 + radial * squared) * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
-        depth = np.full(image.shape, np.inf)
-        column, row = np.floor(pixels).astype(int).T
-        inside = (column >= 0) & (column < 960) & (row >= 0) & (row < 540)
-        inside &= np.abs(column - 480) > 288
-        np.minimum.at(depth, (row[inside], column[inside]), seen[inside, 2])
-        step = depth[:, 2:] > depth[:, :-2] + 2  # a nearer thing's right-hand outline
-        step &= np.isfinite(depth[:, 2:])
-        return float(gradient[:, 1:-1][step].mean())
+    assert pinhole > 1.1 * lens  # measured: 1.17, from 1.13 to 1.23 over draws of frames
+    assert pinhole > max(bent)  # 1.08 and 1.05, from 1.04 and 1.02
 
-    pinhole = edge_strength(0.0)
-    assert all(pinhole > 1.1 * edge_strength(radial) for radial in (-0.165, -0.05, 0.05))
+
+def edge_strength(
+    image: np.ndarray,  # [H, W, 3] uint8
+    xyz: np.ndarray,  # [N, 3]
+    camera: Camera,
+    radials: Sequence[float],
+) -> np.ndarray:
+    """(R, E) image gradient at the outlines that LiDAR sees, if radial terms moved them there.
+
+    The outlines are those in the outer fifths of the image's width, where a lens would move them
+    most. They are found once, so that all terms are measured on the same ones.
+    """
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    gradient = np.abs(cv2.Sobel(cv2.GaussianBlur(grey, (0, 0), 2), cv2.CV_32F, 1, 0))
+    seen = zbuffer(xyz, camera)
+    depth = np.where(seen.index >= 0, seen.depth, np.nan)
+    rows, columns = np.nonzero(np.abs(depth[:, 2:] - depth[:, :-2]) > 2)  # NaN is no outline
+    columns += 1  # between what is near and what is far
+    outer = np.abs(columns - camera.width / 2) > 0.3 * camera.width
+    pixels = np.column_stack([columns, rows])[outer] + 0.5
+    plane = (pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    squared = np.sum(plane**2, axis=1, keepdims=True)
+    strengths = np.full((len(radials), len(plane)), np.nan)
+    for strength, radial in zip(strengths, radials, strict=True):
+        moved = plane * (1 + radial * squared) * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
+        column, row = np.floor(moved).astype(int).T
+        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        strength[inside] = gradient[row[inside], column[inside]]
+    return strengths[:, np.isfinite(strengths).all(axis=0)]

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, to_uint8, write_json
-from geoevs.methods.tiny import write_tiny_scene
+from geoevs.methods.tiny import tiny_camera, write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo, SceneRef
@@ -21,10 +22,8 @@ TRACKS = pd.DataFrame([], columns=list(TRACK_COLUMNS))
 
 def odd_camera(name="front") -> Camera:
     """Unequal focal lengths, a principal point off the middle, and no axis alone."""
-    rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
-    pose = np.eye(4)
-    pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
-    pose[:3, 3] = [1 / 3, -200.1, 1e-7]
+    pose = tiny_camera(name, 33.0, np.array([1 / 3, -200.1, 1e-7])).world_from_camera
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
     return Camera([[71.3, 0, 3.1], [0, 64.9, 5.7], [0, 0, 1]], pose, 6, 8, name)
 
 
@@ -62,7 +61,7 @@ def edit(path: Path, change) -> None:
 def test_a_scene_survives_bit_for_bit(tmp_path):
     frames = [odd_frame(7), odd_frame(12)]
     tracks = pd.DataFrame(
-        [(7, "t", "car", 1 / 3, -0.0, 1e9, 4.5, 1.8, 1.5, -179.9, True)], columns=TRACK_COLUMNS
+        [(7, "t", "car", 1 / 3, -0.0, 1e-9, 4.5, 1.8, 1.5, -179.9, True)], columns=TRACK_COLUMNS
     )
     write_scene(tmp_path / "a", INFO, tracks, iter(frames))
     scene = Scene(tmp_path / "a")
@@ -163,7 +162,7 @@ def test_frames_that_do_not_fit_the_scene_are_refused(tmp_path):
     assert "'front' is 6 x 8 but its image is 3 x 4; resize them together" in write(images=small)
     points = odd_frame().points
     points.xyz[2, 1] = np.nan
-    assert "LiDAR points that are NaN or infinite; drop those rows" in write(points=points)
+    assert "1 of 5 LiDAR points are NaN or infinite" in write(points=points)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -171,7 +170,9 @@ def test_cameras_that_a_scene_does_not_declare_are_left_out(tmp_path):
     frame = odd_frame()
     frame.cameras["rear"] = odd_camera("rear")
     write_scene(tmp_path / "a", INFO, TRACKS, iter([frame]))
-    assert {entry["camera"] for entry in Scene(tmp_path / "a")._entries.values()} == {"front"}
+    assert {entry["camera"] for entry in read_json(tmp_path / "a/transforms.json")["frames"]} == {
+        "front"
+    }
 
 
 @pytest.mark.parametrize(
@@ -182,7 +183,7 @@ def test_cameras_that_a_scene_does_not_declare_are_left_out(tmp_path):
         ("scene.json", '{"name": "a"}', "scene.json describes no scene ('rig'); remake the store"),
         ("transforms.json", "[]", "transforms.json lists no views"),
         ("transforms.json", '{"frames": []}', "transforms.json has no frames; remake the store"),
-        ("transforms.json", '{"frames": [{"frame": 1}]}', "with 'camera' and 'frame' ('camera')"),
+        ("transforms.json", '{"frames": [{"frame": 1}]}', "has a view without 'camera' or 'frame'"),
     ],
 )
 def test_a_corrupt_store_is_refused_when_opened(tiny, file, text, sentence):
@@ -211,9 +212,12 @@ def test_a_camera_that_one_frame_lacks_is_named(tiny):
     ("change", "sentence"),
     [
         (lambda view: view.pop("fl_x"), "camera 'front' lacks 'fl_x'; add it"),
-        (lambda view: view.update(fl_x="wide"), "camera 'front' has a value that cannot be read"),
-        (lambda view: view.update(transform_matrix=[[1]]), "has a value that cannot be read"),
-        (lambda view: view.update(cx=float("nan")), "camera 'front' has NaN or infinite"),
+        (lambda view: view.update(fl_x="wide"), "'front': fl_x is 'wide', no finite number"),
+        (
+            lambda view: view.update(transform_matrix=[[1]]),
+            "has a transform_matrix that is not 4 x 4",
+        ),
+        (lambda view: view.update(cx=float("nan")), "'front': cx is nan, no finite number"),
     ],
 )
 def test_a_wrong_calibration_names_file_and_camera(tiny, change, sentence):
@@ -255,7 +259,7 @@ def test_missing_and_truncated_files_are_named(tiny, file, read, share):
 def test_an_archive_of_something_else_is_named(tiny):
     path = tiny.folder / "lidar/000000.npz"
     np.savez(path, xyz=np.zeros((1, 3)))
-    assert refusal(lambda: tiny.points(0)).startswith(f"{path} is not whole ('rgb")
+    assert refusal(lambda: tiny.points(0)).startswith(f"{path} has no array 'rgb'; add it")
 
 
 def test_an_unknown_lidar_split_is_refused():

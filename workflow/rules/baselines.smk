@@ -1,4 +1,5 @@
-# Fits and renders of every entrant. Both are timed, so each takes all cores and runs alone.
+# Fits and renders of every entrant. Both are timed, so each takes all cores and runs alone. What a
+# method does wrong is in what they write; so is a fault of the machine, which has a second attempt.
 
 
 rule fit:
@@ -17,11 +18,12 @@ rule fit:
     params:
         entry=entry_arguments,
         settings=fit_arguments,
+        attempt=attempt(layout.MODEL, "fit.json"),
         code=method_code("fit"),
     shell:
         "geoevs --log {log[0]:q} fit {params.entry} {params.settings} --scene {input.scene:q}"
         " --targets {input.targets:q} --threads {threads} --method-log {log.method:q}"
-        " --out {output:q}"
+        " {LIMIT_OPTIONS[fit]} --attempt {params.attempt} --out {output:q}"
 
 
 rule render:
@@ -41,8 +43,10 @@ rule render:
     params:
         method=lambda wildcards: ENTRIES[wildcards.label].method,
         answers=oracle_arguments,
+        attempt=attempt(layout.RENDERS, "render.json"),
         code=method_code("render"),
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
         " --targets {input.targets:q} --masks {input.masks:q} {params.answers}"
-        " --method-log {log.method:q} --out {output:q}"
+        " --method-log {log.method:q} {LIMIT_OPTIONS[render]} --attempt {params.attempt}"
+        " --out {output:q}"

@@ -6,16 +6,23 @@ from functools import cache
 from pathlib import Path
 
 from geoevs import layout
+from geoevs.core.attempts import next_attempt
 from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
 from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.partitions import partition_scenes
+from geoevs.config.places import merge_order
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.hashes import outside_hash
+from geoevs.core.locks import lock_folder
+from geoevs.core.names import expanded
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.training import CombinedTraining
 from geoevs.methods.contract import ORACLES
+from geoevs.core.stamps import check_stamp
+from geoevs.protocol.provenance import made_with, scene_stamp, target_settings
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
@@ -27,21 +34,19 @@ from geoevs.protocol.stability import (
 from geoevs.protocol.stressors import STRESSORS
 from geoevs.results.manifest import cached_repository, hash_path
 from geoevs.results.table_specs import TABLES
-from geoevs.scenes.scene import find_sources
+from geoevs.scenes.scene import SceneRef, find_sources, load_source
 from snakemake.exceptions import WorkflowError
+from snakemake.io import IOFile
 
 
 def config_files():
-    """The files that the config was merged from, later ones winning, as named if they lie here.
-
-    Snakemake has the Snakefile's own last, which all that are given override.
-    """
-    *given, own = [Path(file).absolute() for file in workflow.configfiles]
-    paths = dict.fromkeys(given if own in given else [own, *given])
-    here = Path.cwd()
-    return [
-        path.relative_to(here) if path.is_relative_to(here) else path for path in paths
-    ]
+    """The files that the config was merged from, later ones winning, as named if they lie here."""
+    settings = workflow.config_settings
+    # Snakemake has the Snakefile's own last, though all that are given override it.
+    own = workflow.configfiles[len(settings.configfiles) :]
+    if settings.replace_workflow_config and settings.overwrite_config:
+        own = []
+    return merge_order(own, settings.configfiles)
 
 
 try:
@@ -49,6 +54,7 @@ try:
         config,
         Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
         config_files(),
+        workflow.config_settings.config,
     )
 except GeoEvsError as mistake:
     raise WorkflowError(str(mistake)) from None
@@ -80,18 +86,28 @@ wildcard_constraints:
     seed="[0-9]+",
 
 
+def lock_run():
+    """Refuse to work on a run that another Snakemake works on; its own lock outlives a kill."""
+    try:
+        lock_folder(Path(RUN))
+    except GeoEvsError as mistake:
+        raise WorkflowError(str(mistake)) from None
+
+
 def in_run(pattern):
     """A path pattern of the run, its wildcards kept."""
     return f"{RUN}/{pattern}"
 
 
+# Folder of this suite's own starting weights.
+WEIGHTS = str(expanded(config["weights"]))
 # The files with the depth network's weights before and after fine-tuning; one or none.
 GEOMETRY = config["geometry"]
 PRETRAINED = []
 FINETUNED = []
 if GEOMETRY["model"] != "lidar":
     PRETRAINED = [
-        GEOMETRY["weights"] or f"{config['weights']}/{SUITE_MODEL}.safetensors"
+        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS}/{SUITE_MODEL}.safetensors"))
     ]
     FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
 
@@ -141,7 +157,7 @@ def other_results(expected):
 
 def scene_list(scenes):
     """Scenes as options of commands that take many."""
-    return " ".join(f"--scenes '{dataset}/{scene}'" for dataset, scene in scenes)
+    return with_option("--scenes", [f"{dataset}/{scene}" for dataset, scene in scenes])
 
 
 @cache
@@ -159,15 +175,71 @@ def every_result(pattern):
     ]
 
 
-def scene_arguments(wildcards):
-    """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
+def scene_of(wildcards):
+    """A scene's source, its name there, and the source's options."""
     dataset = config["datasets"][wildcards.dataset]
     name, changed = world_options(wildcards.scene)
-    options = dataset["options"] | changed
+    return dataset["source"], name, dataset["options"] | changed
+
+
+def scene_arguments(wildcards):
+    """How `geoevs scene` and `geoevs truth` are told which scene to read or render."""
+    source, name, options = scene_of(wildcards)
     return (
-        f"--source {dataset['source']} --name {name} --height {HEIGHT} "
+        f"--source {shlex.quote(source)} --name {shlex.quote(name)} --height {HEIGHT} "
         f"--width {WIDTH} --options {shlex.quote(json.dumps(options))}"
     )
+
+
+def scene_data(wildcards):
+    """Hash of the files that a scene is read from; where they are gone, the one in its store."""
+    source, name, options = scene_of(wildcards)
+    reader = load_source(source, HEIGHT, WIDTH, options)
+    files = list(reader.files(SceneRef.parse(name)))
+    store = Path(in_run(layout.SCENE).format(**wildcards)) / "scene.json"
+    if files and store.exists() and not any(map(Path.exists, files)):
+        return (made_with(store) or {}).get("data", "none")
+    return outside_hash(files) if files else "none"
+
+
+def scene_made_with(wildcards):
+    """What the config and the data say that a scene store is made with."""
+    source, name, options = scene_of(wildcards)
+    data = scene_data(wildcards)
+    return scene_stamp(source, name, (HEIGHT, WIDTH), options, data)
+
+
+def targets_made_with(wildcards):
+    """What the config says that a target list is made with, besides a scene."""
+    return {"settings": target_settings(config["protocol"], config["seed"])}
+
+
+def stability_targets_made_with(wildcards):
+    """The same for target lists of the stability suite."""
+    settings = clean_settings(config["stability"], wildcards.scene)
+    return {"settings": target_settings(settings, 0)}
+
+
+def recorded(pattern, expected, file=""):
+    """An input function that refuses what the config would make otherwise, and nobody remakes.
+
+    Snakemake makes a file again when its settings change, as long as it has a record of them.
+    Without one, what the file itself says decides.
+    """
+
+    def no_more_input(wildcards):
+        output = in_run(pattern).format(**wildcards)
+        path = Path(output) / file
+        if not workflow.is_main_process or not path.is_file():
+            return []
+        if workflow.persistence.metadata(IOFile(output, rule=None)) is None:
+            try:
+                check_stamp(path, made_with(path), expected(wildcards))
+            except GeoEvsError as mistake:
+                raise WorkflowError(str(mistake)) from None
+        return []
+
+    return no_more_input
 
 
 def source_code(module):
@@ -195,10 +267,36 @@ def method_code(step):
     return of
 
 
+# Seconds after which steps are ended, as options of commands. They are no params: another limit
+# concerns only what ran into the one before, which `attempt` sees.
+LIMITS = config["budget"]["limits"]
+LIMIT_OPTIONS = {
+    step: "" if seconds is None else f"--limit {seconds}"
+    for step, seconds in LIMITS.items()
+}
+
+
+def attempt(pattern, *outcomes):
+    """A function for `params`: the number of the attempt that outcomes in an output ask for.
+
+    After a fault of the machine it is another than the last time, so that the job runs again.
+    """
+
+    def of(wildcards):
+        output = Path(in_run(pattern).format(**wildcards))
+        files = [file for name in outcomes for file in output.glob(name)]
+        return next_attempt(files if outcomes else [output], LIMITS)
+
+    return of
+
+
 def entry_arguments(wildcards):
     """How a command is told which entrant it deals with."""
     entry = ENTRIES[wildcards.label]
-    return f"--method {entry.method} --variant {entry.variant} --seed {entry.seed}"
+    return (
+        f"--method {shlex.quote(entry.method)} --variant {shlex.quote(entry.variant)} "
+        f"--seed {entry.seed}"
+    )
 
 
 def entrant_options(wildcards):
@@ -237,16 +335,15 @@ def trained(wildcards):
 
 
 # What trainings start from, which are no output that tables need.
-PRIOR_FILES = [
-    f"{config['weights']}/{name}.safetensors" for name in ("autoencoder", "prior")
-]
+PRIOR_FILES = [f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")]
 
 
 def prior_hash(name):
     """Hash of the weights that a training starts from: one that failed without them runs again."""
     if name == "nano":
         return " ".join(content_hash(path) for path in PRIOR_FILES)
-    return content_hash(name) if Path(name).exists() else cached_repository(name)
+    folder = expanded(name)
+    return content_hash(folder) if folder.exists() else cached_repository(name)
 
 
 def starting_weights(wildcards):

@@ -2,6 +2,8 @@
 
 
 rule scene:
+    input:
+        recorded(layout.SCENE, scene_made_with, "scene.json"),
     output:
         scene=directory(in_run(layout.SCENE)),
         depths=directory(in_run(layout.DEPTHS)),
@@ -11,9 +13,10 @@ rule scene:
         in_run("benchmarks/scene/{dataset}/{scene}.tsv")
     params:
         scene=scene_arguments,
+        data=scene_data,
         code=source_code("geoevs.projection.coloured_scenes"),
     shell:
-        "geoevs --log {log:q} scene {params.scene} --out {output.scene:q}"
+        "geoevs --log {log:q} scene {params.scene} --data {params.data:q} --out {output.scene:q}"
         " --depths {output.depths:q}"
 
 
@@ -28,6 +31,7 @@ rule truth:
         in_run("benchmarks/truth/{dataset}/{scene}.tsv")
     params:
         scene=scene_arguments,
+        data=scene_data,
         code=source_code("geoevs.protocol.truth"),
     shell:
         "geoevs --log {log:q} truth {params.scene} --targets {input.targets:q} --out {output:q}"

@@ -20,10 +20,12 @@ rule score:
         entry=entry_arguments,
         run=lambda wildcards, output: Path(output.scores).parents[3],
         protocol=PROTOCOL,
+        seed=config["seed"],
         code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
     shell:
         "geoevs --log {log:q} score {params.entry} --run {params.run:q} --dataset {wildcards.dataset:q}"
-        " --scene {wildcards.scene:q} --protocol {params.protocol:q} --out {output.scores:q}"
+        " --scene {wildcards.scene:q} --protocol {params.protocol:q} --run-seed {params.seed}"
+        " --out {output.scores:q}"
         " --costs {output.costs:q}"
 
 

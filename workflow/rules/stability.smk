@@ -13,6 +13,7 @@ ruleorder: stability_targets > targets
 
 rule stability_targets:
     input:
+        recorded(layout.TARGETS, stability_targets_made_with),
         scene=in_run(layout.SCENE),
     output:
         in_run(layout.TARGETS),
@@ -60,11 +61,13 @@ rule stability_render:
     params:
         entry=stability_arguments,
         options=lambda wildcards: method_options(STABILITY_ENTRIES, wildcards),
+        attempt=attempt(layout.STABILITY_RENDERS, "*/outcome.json"),
         code=method_code("stability"),
     shell:
         "geoevs --log {log[0]:q} stability-render {input.scenes:q} {params.entry}"
         " --options {params.options:q} --targets {input.targets:q} --masks {input.masks:q}"
-        " --method-log {log.method:q} --out {output:q}"
+        " --method-log {log.method:q} {STABILITY_LIMITS} --attempt {params.attempt}"
+        " --out {output:q}"
 
 
 rule stability_score:
@@ -78,11 +81,12 @@ rule stability_score:
     params:
         entry=stability_arguments,
         run=lambda wildcards, output: RUN,
+        seed=config["seed"],
         code=code_hash("geoevs.protocol.stability_scoring"),
     shell:
         "geoevs --log {log:q} stability-score --run {params.run:q}"
         " --dataset {wildcards.dataset:q} --scene {wildcards.scene:q} {params.entry}"
-        " --out {output:q}"
+        " --run-seed {params.seed} --out {output:q}"
 
 
 rule stability_scores:

@@ -4,6 +4,7 @@
 
 rule targets:
     input:
+        recorded(layout.TARGETS, targets_made_with),
         scene=in_run(layout.SCENE),
     output:
         in_run(layout.TARGETS),

@@ -18,10 +18,11 @@ rule prepare:
         in_run("benchmarks/prepare/{trainer}/{dataset}/{scene}.tsv")
     params:
         inputs=prepare_arguments,
+        attempt=attempt(layout.PREPARED),
         code=training_code("prepare"),
     shell:
         "geoevs --log {log:q} prepare {wildcards.trainer} --scene {input.scene:q} {params.inputs}"
-        " --out {output:q}"
+        " {LIMIT_OPTIONS[training]} --attempt {params.attempt} --out {output:q}"
 
 
 rule combine:
@@ -32,9 +33,11 @@ rule combine:
     log:
         in_run("logs/combine/{trainer}.log"),
     params:
+        attempt=attempt(layout.COMBINED),
         code=training_code("combine"),
     shell:
-        "geoevs --log {log:q} combine {wildcards.trainer} {input:q} --out {output:q}"
+        "geoevs --log {log:q} combine {wildcards.trainer} {input:q} {LIMIT_OPTIONS[training]}"
+        " --attempt {params.attempt} --out {output:q}"
 
 
 rule train:
@@ -54,11 +57,12 @@ rule train:
         settings=lambda wildcards: json.dumps(settings_of(wildcards)),
         starts_from=starting_hashes,
         work=in_run(layout.TRAINING).format(network="{trainer}/{training}.seed{seed}"),
+        attempt=attempt(layout.TRAINED, "failure.json", "attempt.json"),
         code=training_code("train"),
     shell:
         "geoevs --log {log:q} train {wildcards.trainer} {params.inputs}"
         " --settings {params.settings:q} --work {params.work:q} --seed {wildcards.seed}"
-        " --out {output:q}"
+        " {LIMIT_OPTIONS[training]} --attempt {params.attempt} --out {output:q}"
 
 
 rule mask_figure:

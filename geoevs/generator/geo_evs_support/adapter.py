@@ -18,6 +18,7 @@ class Method(GeoEvs):
     info: ClassVar[MethodInfo] = replace(
         GeoEvs.info, name="Geo-EVS, support kept", needs=(*GeoEvs.info.needs, "tracks")
     )
+    trainers: ClassVar[tuple[str, ...]] = ("geo-evs",)
     lifting: ClassVar[type[LiftedViews]] = BlendedViews
 
     def _finish(

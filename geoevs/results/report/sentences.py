@@ -5,16 +5,16 @@ from collections.abc import Iterator, Sequence
 import pandas as pd
 
 from geoevs.methods.contract import ORACLES
-from geoevs.protocol.entries import FLOOR
+from geoevs.protocol.entries import FAILED, FLOOR
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.results.bootstrap import PairedDifference
 from geoevs.results.charts import speed_accuracy
-from geoevs.results.compare import paired_of, rows_of
 from geoevs.results.entrants import Entrants
 from geoevs.results.failures import Failure
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import bin_names, table_rows, table_spec
 from geoevs.results.tables import make_table
+from geoevs.results.views import paired_of, rows_of
 
 METRIC_NAMES = {"sparse_psnr": "sparse PSNR", "psnr": "PSNR over all pixels"}
 
@@ -66,27 +66,39 @@ def _extent(rows: pd.DataFrame) -> str:
     entrants = rows[["method", "variant"]].drop_duplicates()
     frames = rows[["scene", "frame"]].drop_duplicates()
     views = rows[["scene", "frame", "target"]].drop_duplicates()
+    failed = rows.loc[rows["status"] == FAILED, ["method", "variant"]].drop_duplicates()
+    but = f"; {len(failed)} of them failed on some or all" if len(failed) else ""
     return (
         f"On {rows['dataset'].iloc[0]}, {_count(len(entrants), 'entrant')} rendered "
         f"{_count(len(views), 'view')} of {_count(len(frames), 'frame')} in "
-        f"{_count(rows['scene'].nunique(), 'scene')}."
+        f"{_count(rows['scene'].nunique(), 'scene')}{but}."
     )
 
 
 def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -> Iterator[str]:
-    """The best method, and how it compares with the best control on the same views."""
-    ranked = points.sort_values("mean", ascending=False)
-    methods, controls = ranked[~ranked["control"]], ranked[ranked["control"]]
-    if methods.empty:
+    """The best method, and how it compares with the best control on the same views.
+
+    Best is nobody who lacks a view that others have.
+    """
+    if points["control"].all():
         return
-    best = methods.iloc[0]
-    views = f"{METRIC_NAMES[best['metric']]} of extrapolated views"
-    sentences = [f"By {views} the best method is {_scored(best)}."]
+    ordered = points.sort_values("mean", ascending=False)
+    ranked, others = (ordered[ordered["lacking"] == 0], ordered[ordered["lacking"] > 0])
+    methods, controls = ranked[~ranked["control"]], ranked[ranked["control"]]
+    views = f"{METRIC_NAMES[points['metric'].iloc[0]]} of extrapolated views"
+    if methods.empty:
+        sentences = [f"By {views} no method is the best, as none delivered all of them."]
+    else:
+        best = methods.iloc[0]
+        sentences = [f"By {views} the best method is {_scored(best)}."]
     if len(controls):
         control = controls.iloc[0]
         sentences.append(f"The best control is {_scored(control)}.")
+    if len(methods) and len(controls):
         both = (rows_of(rows, row["method"], row["variant"]) for row in (best, control))
         sentences += _gain(best["name"], control["name"], paired_of(*both, settings))
+    if len(others):
+        sentences.append(f"Not ranked, as views are missing: {', '.join(_partial(others))}.")
     yield " ".join(sentences)
 
 
@@ -104,6 +116,13 @@ def _gain(best: str, control: str, gap: PairedDifference) -> Iterator[str]:
         yield "Which of the two is better is not certain."
 
 
+def _partial(points: pd.DataFrame) -> Iterator[str]:
+    """Means of fewer views than others', with how many they are of."""
+    for _, row in points.iterrows():
+        count = f"{row['n']} of {row['n'] + row['lacking']} views"
+        yield f"{row['name']} ({row['mean']:.2f} dB on {count})"
+
+
 def _scored(row: pd.Series) -> str:
     interval = "" if pd.isna(row["low"]) else f" [{row['low']:.2f}, {row['high']:.2f}]"
     return f"{row['name']} ({row['mean']:.2f}{interval} dB)"
@@ -116,24 +135,34 @@ def _frontier(points: pd.DataFrame) -> Iterator[str]:
             f"{row['name']} ({row['render_seconds']:.2g} s a view, {row['mean']:.2f} dB)"
             for _, row in worth.iterrows()
         )
-        yield f"Nothing is both faster and better, by sparse PSNR, than each of these: {steps}."
+        whole = (points["lacking"] == 0) & (points["lacking_fits"] == 0)
+        those = "Nothing" if whole.all() else "Of those that delivered every view, nothing"
+        yield f"{those} is both faster and better, by sparse PSNR, than each of these: {steps}."
 
 
 def _decline(curves: pd.DataFrame, bins: list[str]) -> Iterator[str]:
-    """How much each method loses as the target turns away from the front camera."""
+    """How much each method loses as the target turns away from the front camera.
+
+    One that lacks a view of either end is left out: what it did deliver may be the easy ones.
+    """
     rows = curves[(curves["metric"] == "sparse_psnr") & ~curves["control"]]
     present = [label for label in bins if label in set(rows["bin"])]
     if len(present) < 2:
         return
+    ends = rows[rows["bin"].isin((present[0], present[-1]))]
+    both = ends.groupby("name")["bin"].transform("nunique") == 2
+    partial = ends.loc[(ends["lacking"] > 0) | ~both, "name"].unique()
+    ends = ends[~ends["name"].isin(partial)]
     first, last = (
-        rows[rows["bin"] == label].set_index("name")["mean"] for label in (present[0], present[-1])
+        ends[ends["bin"] == label].set_index("name")["mean"] for label in (present[0], present[-1])
     )
     change = (last - first).dropna().sort_values(ascending=False)
     if len(change):
         losses = ", ".join(f"{name} {value:+.2f} dB" for name, value in change.items())
+        left_out = f" Left out, as views are missing: {', '.join(partial)}." if len(partial) else ""
         yield (
             f"From {present[0]} to {present[-1]} degrees off the front camera, sparse PSNR "
-            f"changes by: {losses}."
+            f"changes by: {losses}.{left_out}"
         )
 
 
@@ -141,7 +170,9 @@ def _below_floor(table: pd.DataFrame) -> Iterator[str]:
     worse = table[(table["below_floor"] != "") & ~table["method"].isin(ORACLES)]
     if len(worse):
         named = "; ".join(
-            f"{row.name} on {row.below_floor.replace(' ', ', ')}" for row in worse.itertuples()
+            f"{row.name} on {row.below_floor.replace(' ', ', ')}"
+            + (" (on the views that it delivered)" if row.partial else "")
+            for row in worse.itertuples()
         )
         yield f"Worse than one colour ({FLOOR}) on extrapolated views: {named}."
 

@@ -61,6 +61,7 @@ def _trust(agreement: pd.DataFrame) -> Iterator[str]:
 
 def _breaking(points: pd.DataFrame, curves: pd.DataFrame) -> Iterator[str]:
     """Who first falls below the best control, and who last, by data set and metric."""
+    points = points[points["level"].notna()]  # without one no control could judge
     held = points.assign(held=[_held(row, curves) for row in points.to_dict("records")])
     for (dataset, metric), rows in held.groupby(["dataset", "metric"], sort=False):
         if metric not in METRIC_NAMES:
@@ -68,8 +69,8 @@ def _breaking(points: pd.DataFrame, curves: pd.DataFrame) -> Iterator[str]:
         shares = rows.groupby("name", sort=False)["held"].mean()
         last, first = (shares[shares == end].index for end in (shares.max(), shares.min()))
         sentence = (
-            f"Under stress on {dataset}, by {METRIC_NAMES[metric]}, the last to fall below the "
-            f"best control: {', '.join(last)}, after {100 * shares.max():.0f} % of the levels "
+            f"Under stress on {dataset}, by {METRIC_NAMES[metric]}, the last to fail or fall below "
+            f"the best control: {', '.join(last)}, after {100 * shares.max():.0f} % of the levels "
             f"(mean of {rows['stressor'].nunique()} stressors)"
         )
         mine = rows[rows["name"].isin(last)]

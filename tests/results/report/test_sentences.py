@@ -80,10 +80,8 @@ def test_one_frame_gives_no_interval(best):
     assert text.endswith("gains 1.00 dB on Reprojection. One frame a scene gives no interval.")
 
 
-def test_without_a_control_or_a_shared_view_there_is_no_gain(best):
+def test_without_a_control_there_is_no_gain(best):
     assert best(geo_evs=[21.0]).endswith("the best method is Geo-EVS (21.00 dB).")
-    nan = float("nan")
-    assert best(geo_evs=[21.0, nan], reproject=[nan, 20.0]).endswith("is Reprojection (20.00 dB).")
 
 
 def test_the_best_is_the_highest_of_several(best):

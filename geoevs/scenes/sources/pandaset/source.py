@@ -1,7 +1,6 @@
 """PandaSet sequences in the folder format of their public release (see docs/pandaset.md)."""
 
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -9,7 +8,9 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image
-from geoevs.scenes.camera import Camera
+from geoevs.core.names import expanded
+from geoevs.scenes.camera import WORLD_LIMIT, Camera
+from geoevs.scenes.checks import check_info
 from geoevs.scenes.scene import (
     Frame,
     PointCloud,
@@ -18,8 +19,14 @@ from geoevs.scenes.scene import (
     SceneRecord,
     SceneRef,
     Truth,
+    scene_origin,
 )
-from geoevs.scenes.sources.pandaset.calibration import read_camera, read_entry, read_timestamp
+from geoevs.scenes.sources.pandaset.calibration import (
+    read_camera,
+    read_entry,
+    read_pose,
+    read_timestamp,
+)
 from geoevs.scenes.sources.pandaset.tracks import read_tracks
 from geoevs.scenes.sources.pandaset.unpickle import read_table
 
@@ -33,7 +40,8 @@ RIG_CAMERAS = (RIG.front, RIG.front_left, RIG.front_right)
 # Front to back, left before right; any other camera follows by name.
 CAMERA_ORDER = (*RIG_CAMERAS, "left_camera", "right_camera", "back_camera")
 LICENCE = "CC BY 4.0 with PandaSet's Dataset Terms of Use (Hesai and Scale AI)"
-SENSORS = (0, 1)  # Pandar64, PandarGT
+SENSORS = {0: "Pandar64, which scores methods", 1: "PandarGT, which may condition them"}
+"""What the column `d` of a sweep says."""
 
 
 class Source:
@@ -41,24 +49,27 @@ class Source:
 
     The released images are already free of lens distortion and `intrinsics.json` is their pinhole
     K, so images are only resized. K gains half a pixel: PandaSet's is OpenCV's, whose pixel centres
-    are integers. Camera poses, points and boxes share one world with z up. How each was checked is
-    in docs/pandaset.md.
+    are integers. Camera poses, points and boxes share one world with z up; one far from its origin
+    is moved there (see `scene_origin`). How each was checked is in docs/pandaset.md.
 
     Args:
         height, width: size of the run's images in pixels; whole images are resized to it.
-        folder: holds one folder per sequence, such as 002; `$NAME` in it is looked up in the
-            environment.
+        folder: holds one folder per sequence, such as 002 (see `expanded`).
     """
 
     has_truth = False
 
     def __init__(self, height: int, width: int, *, folder: str) -> None:
         self.height, self.width = height, width
-        # Nothing, where the variable is empty, must not become the current folder.
-        self.folder = Path(os.path.expanduser(os.path.expandvars(folder)) or folder)
+        self.folder = expanded(folder)
 
     def check(self, scene: SceneRef) -> None:
         """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
+
+    def files(self, scene: SceneRef) -> Iterable[Path]:
+        """The folders of its sensors and boxes."""
+        folder = self.folder / scene.name
+        return [folder / part for part in ("camera", "lidar", "annotations/cuboids")]
 
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open one sequence; its boxes are read now, its images and sweeps as they are iterated.
@@ -73,13 +84,20 @@ class Source:
         folder = self._sequence(scene)
         cameras = _find_cameras(folder)
         frames = _find_frames(folder, cameras, scene)
-        for file in ("poses.json", "timestamps.json"):
-            for sensor in (*(f"camera/{name}" for name in cameras), "lidar"):
-                read_entry(folder / sensor / file, frames[-1])
+        sensors = [folder / "lidar", *(folder / "camera" / name for name in cameras)]
+        for sensor in sensors:
+            for file in ("poses.json", "timestamps.json"):
+                read_entry(sensor / file, frames[-1])
+        # Not the mean: one sensor whose pose is wrong must not move the others.
+        places = [read_pose(sensor / "poses.json", frames[0])[:3, 3] for sensor in sensors]
+        info = SceneInfo(
+            scene.name, "pandaset", LICENCE, RIG, cameras, scene_origin(np.median(places, axis=0))
+        )
+        check_info(info, folder)
         return SceneRecord(
-            info=SceneInfo(scene.name, "pandaset", LICENCE, RIG, cameras),
-            tracks=read_tracks(folder / "annotations/cuboids", frames),
-            frames=(self._read_frame(folder, cameras, frame) for frame in frames),
+            info=info,
+            tracks=read_tracks(folder / "annotations/cuboids", frames, info.origin),
+            frames=(self._read_frame(folder, info, frame) for frame in frames),
             frame_count=len(frames),
         )
 
@@ -108,11 +126,13 @@ class Source:
             )
         return folder
 
-    def _read_frame(self, folder: Path, cameras: tuple[str, ...], number: int) -> Frame:
+    def _read_frame(self, folder: Path, info: SceneInfo, number: int) -> Frame:
         calibrated, images = {}, {}
-        for name in cameras:
-            image = read_image(folder / f"camera/{name}/{number:02d}.jpg")
-            camera = read_camera(folder / f"camera/{name}", number, *image.shape[:2])
+        for name in info.cameras:
+            path = folder / f"camera/{name}/{number:02d}.jpg"
+            image = read_image(path)
+            height, width = image.shape[:2]
+            camera = read_camera(path, number, height, width, info.origin)
             calibrated[name] = camera.resized(self.height, self.width)
             images[name] = cv2.resize(
                 image, (self.width, self.height), interpolation=cv2.INTER_AREA
@@ -122,7 +142,7 @@ class Source:
             timestamp=read_timestamp(folder / "lidar/timestamps.json", number),
             cameras=calibrated,
             images=images,
-            points=_read_sweep(folder / f"lidar/{number:02d}.pkl.gz"),
+            points=_read_sweep(folder / f"lidar/{number:02d}.pkl.gz", info.origin),
         )
 
 
@@ -133,7 +153,12 @@ def _find_cameras(folder: Path) -> tuple[str, ...]:
             raise GeoEvsError(
                 f"{folder / 'camera' / name} is missing; download the sequence's camera folders"
             )
-    folders = {path.name for path in (folder / "camera").iterdir() if path.is_dir()}
+    # Archives leave other folders there, such as __MACOSX.
+    folders = {
+        path.name
+        for path in (folder / "camera").iterdir()
+        if path.is_dir() and (path.name in CAMERA_ORDER or (path / "intrinsics.json").exists())
+    }
     known = [name for name in CAMERA_ORDER if name in folders]
     return (*known, *sorted(folders.difference(CAMERA_ORDER)))
 
@@ -160,28 +185,33 @@ def _find_frames(folder: Path, cameras: tuple[str, ...], scene: SceneRef) -> lis
 
 def _frame_numbers(sensor: Path, suffix: str) -> set[int]:
     stems = (path.name.removesuffix(f".{suffix}") for path in sensor.glob(f"*.{suffix}"))
-    return {int(stem) for stem in stems if stem.isdigit() and stem == f"{int(stem):02d}"}
+    return {int(stem) for stem in stems if stem.isdecimal() and stem == f"{int(stem):02d}"}
 
 
-def _read_sweep(path: Path) -> PointCloud:
+def _read_sweep(path: Path, origin: tuple[float, float, float]) -> PointCloud:
     """The points of both LiDARs, already in the world; the data do not say which beam."""
     table = read_table(path)
     for column in ("x", "y", "z", "d"):
         if column not in table:
             raise GeoEvsError(f"{path} has no column '{column}'; download it again")
     try:
-        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is told
-            xyz = table[["x", "y", "z"]].to_numpy(np.float32)  # [N, 3]
-    except (TypeError, ValueError) as error:
+        xyz = table[["x", "y", "z"]].to_numpy(np.float64) - origin  # [N, 3]
+    except (TypeError, ValueError, OverflowError) as error:
         raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
-    bad = ~np.isfinite(xyz).all(axis=1)
-    if bad.any():
+    good = (np.abs(xyz) <= WORLD_LIMIT).all(axis=1)  # NaN is not good either
+    if not good.all():
         raise GeoEvsError(
-            f"{path} has {bad.sum()} of {len(bad)} points that are NaN or infinite; download it "
-            "again or drop those rows"
+            f"{path} has {(~good).sum()} of {len(good)} points that are NaN, infinite or more than "
+            f"{WORLD_LIMIT / 1000:g} km from the cameras; download it again or drop those rows"
         )
     if not table["d"].isin(SENSORS).all():
         raise GeoEvsError(
             f"{path} has points whose LiDAR 'd' is neither 0 nor 1; download it again"
         )
+    for sensor, does in SENSORS.items():
+        if not (table["d"] == sensor).any():
+            raise GeoEvsError(
+                f"{path} has no points of d = {sensor} ({does}); download it again or leave out "
+                "the frame"
+            )
     return PointCloud.uncoloured(xyz, sensor=table["d"], beam=np.zeros(len(xyz)))

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.scenes.checks import check_tracks
 from geoevs.scenes.scene import TRACK_COLUMNS
 from geoevs.scenes.sources.pandaset.unpickle import read_table
 
@@ -22,20 +23,23 @@ NUMBERS = {
 }
 SENSOR, SIBLING = "cuboids.sensor_id", "cuboids.sibling_id"
 FRONT_LIDAR = 1
+SENSORS = (-1, 0, 1)  # -1 is none, of a box that both sensors share
 COLUMNS = ("uuid", "label", "stationary", SENSOR, SIBLING, *NUMBERS.values())
 
 
-def read_tracks(folder: Path, frames: Iterable[int]) -> pd.DataFrame:
-    """The boxes of `frames` from `folder`/NN.pkl.gz, with TRACK_COLUMNS.
+def read_tracks(
+    folder: Path, frames: Iterable[int], origin: tuple[float, float, float]
+) -> pd.DataFrame:
+    """The boxes of `frames` from `folder`/NN.pkl.gz, with TRACK_COLUMNS, less `origin` in metres.
 
     A moving object that both LiDARs see is boxed twice, once for each sensor's instant. The pair is
     one track, under the Pandar64 box's uuid, and the Pandar64 box is kept where a frame has both.
 
     Raises:
-        GeoEvsError: a file is missing, unreadable (see `read_table`), lacks a column, or has a
-            number that is NaN or infinite.
+        GeoEvsError: a file is missing, unreadable (see `read_table`), lacks a column, or has boxes
+            that cannot be (see `check_tracks`).
     """
-    boxes = pd.concat([_read_frame(folder, frame) for frame in frames], ignore_index=True)
+    boxes = pd.concat([_read_frame(folder, frame, origin) for frame in frames], ignore_index=True)
     paired = boxes["from_front_lidar"] & boxes["sibling"].isin(boxes["track"])
     boxes["track"] = boxes["track"].where(~paired, boxes["sibling"])
     # A track that moves in any frame moves; PandaSet's flag holds for the whole sequence anyway.
@@ -45,7 +49,7 @@ def read_tracks(folder: Path, frames: Iterable[int]) -> pd.DataFrame:
     return boxes[list(TRACK_COLUMNS)].reset_index(drop=True)
 
 
-def _read_frame(folder: Path, frame: int) -> pd.DataFrame:
+def _read_frame(folder: Path, frame: int, origin: tuple[float, float, float]) -> pd.DataFrame:
     path = folder / f"{frame:02d}.pkl.gz"
     table = read_table(path)
     for column in COLUMNS:
@@ -53,17 +57,21 @@ def _read_frame(folder: Path, frame: int) -> pd.DataFrame:
             raise GeoEvsError(f"{path} has no column '{column}'; download it again")
     try:
         numbers = {name: table[column].to_numpy(np.float64) for name, column in NUMBERS.items()}
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
-    bad = ~np.isfinite(list(numbers.values())).all(axis=0)
-    if bad.any():
-        raise GeoEvsError(
-            f"{path} has {bad.sum()} boxes that are NaN or infinite; drop those rows or download "
-            "it again"
-        )
-    # PandaSet's yaw is 0 along world y; ours along world x, as atan2 has it.
-    numbers["yaw"] = (np.degrees(numbers["yaw"]) + 90 + 180) % 360 - 180
-    return pd.DataFrame(
+    for name, metres in zip("xyz", origin, strict=True):
+        numbers[name] = numbers[name] - metres
+    for column, kind, what in (
+        ("uuid", str, "text"),
+        ("label", str, "text"),
+        ("stationary", bool | np.bool_, "true or false"),
+    ):
+        if not all(isinstance(value, kind) for value in table[column]):
+            raise GeoEvsError(f"{path} has a '{column}' that is not {what}; download it again")
+    if not table[SENSOR].isin(SENSORS).all():
+        raise GeoEvsError(f"{path} has boxes whose {SENSOR} is not -1, 0 or 1; download it again")
+    numbers["yaw"] = np.degrees(numbers["yaw"])
+    boxes = pd.DataFrame(
         {
             "frame": frame,
             "track": table["uuid"].astype(str),
@@ -74,3 +82,7 @@ def _read_frame(folder: Path, frame: int) -> pd.DataFrame:
             "from_front_lidar": table[SENSOR] == FRONT_LIDAR,
         }
     )
+    check_tracks(boxes, path)
+    # PandaSet's yaw is 0 along world y; ours along world x, as atan2 has it.
+    boxes["yaw"] = (boxes["yaw"] + 90 + 180) % 360 - 180
+    return boxes

@@ -1,6 +1,7 @@
 """The `street` data source: procedural streets with dense truth at any pose and instant."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -130,6 +131,10 @@ class Source:
                 f"scene '{scene.name}' has no frame {max(scene.first, self._frames)}; its frames "
                 f"are 0 to {self._frames - 1}, so choose a range of those or raise 'frames'"
             )
+
+    def files(self, scene: SceneRef) -> Iterable[Path]:
+        """None: a scene is made from its name and the options."""
+        return ()
 
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open a scene; each frame is rendered when it is iterated.
