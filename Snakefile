@@ -18,7 +18,7 @@ configfile: "config.yaml"
 
 
 # The base of `snakemake --sdm apptainer`; constraints.txt pins what is installed on it. A tag can be
-# moved; docs/trust.md says how to name the image by its digest.
+# moved: where that matters, name the image by its digest (docker://python@sha256:...).
 container: "docker://python:3.11.13-bookworm"
 
 

@@ -137,6 +137,9 @@ def stability_chart(
     """Draw every method's curve over the levels of a stressor."""
     import pandas as pd
 
+    from geoevs.core.files import whole_file
     from geoevs.results.stability_chart import write_stability_chart
 
-    write_stability_chart(out, pd.read_csv(table), stressor)
+    with whole_file(table):  # a variant may be called null
+        rows = pd.read_csv(table, keep_default_na=False, na_values=[""])
+    write_stability_chart(out, rows, stressor)

@@ -146,6 +146,15 @@ def test_a_public_checkpoint_is_read(public, tmp_path):
     torch.testing.assert_close(back, (direct + 1) / 2)
 
 
+def test_public_weights_that_can_run_code_are_not_opened(public, networks, tmp_path):
+    for file in (public / "unet").glob("*.safetensors"):
+        file.unlink()
+    networks.unet().save_pretrained(public / "unet", safe_serialization=False)
+    assert list((public / "unet").glob("*.bin"))
+    with pytest.raises(GeoEvsError, match="is not on this machine"):
+        load_prior(str(public), tmp_path / "none")
+
+
 def test_training_starts_from_a_public_checkpoint(public, pairs, library, tmp_path):
     settings = Settings(
         **{"prior": str(public), "prediction": "epsilon", "schedule": None, "encoder": "trained"},

@@ -21,18 +21,20 @@ def summarise_suites(run: Path) -> list[str]:
     sentences = []
     agreement = run / layout.AUDIT_TABLE.format(table="agreement")
     if agreement.exists():
-        sentences += _trust(_csv(agreement))
+        with whole_file(agreement):
+            sentences += _trust(_csv(agreement))
     points, curves = (
         run / path for path in (f"{layout.BREAKING_POINTS}.csv", layout.STABILITY_TABLE)
     )
     if points.exists() and curves.exists():
-        sentences += _breaking(_csv(points, {"level": "str"}), _csv(curves))
+        with whole_file(points):
+            sentences += _breaking(_csv(points, {"level": "str"}), _csv(curves))
     return sentences
 
 
 def _csv(path: Path, types: Mapping[str, str] | None = None) -> pd.DataFrame:
-    with whole_file(path):
-        return pd.read_csv(path, dtype=types)
+    with whole_file(path):  # a variant may be called null
+        return pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
 
 
 def _trust(agreement: pd.DataFrame) -> Iterator[str]:

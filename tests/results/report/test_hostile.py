@@ -241,7 +241,7 @@ def test_what_is_no_parquet_file_is_one_sentence(tmp_path):
         "none": lambda path: None,
     }.items():
         make(tmp_path / name)
-        with pytest.raises(GeoEvsError, match=f"{name} is (not whole|missing)"):
+        with pytest.raises(GeoEvsError, match=f"{name} is (not whole|missing|a folder|a pipe)"):
             read_rows(tmp_path / name, layout.SCORES)
 
 
@@ -263,3 +263,34 @@ def test_a_cell_of_hostile_words_is_refused_not_run(folder):
     ):
         with pytest.raises(GeoEvsError, match="there is no "):
             explain(cell, folder)
+
+
+@pytest.mark.parametrize("name", ["../../out", "/tmp/out", "a/../../../out", "a\nb", ""])
+def test_targets_of_hostile_names_are_neither_exported_nor_rendered(folder, geoevs, name):
+    place = {"dataset": "d", "scene": "s"}
+    scene, targets = (folder / path.format(**place) for path in (layout.SCENE, layout.TARGETS))
+    views = read_json(targets)
+    views[0]["name"] = name
+    write_json(targets, views)
+    model = folder / "models/d/s/grey"
+    outcome = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
+    outcome |= {"peak_memory": 0, "gpu_memory": 0}
+    write_json(model / "fit.json", {"all-cameras": outcome})
+    before = set(folder.parent.rglob("*"))
+    masks = folder / layout.MASKS.format(**place)
+    out = ("--out", folder / "out")
+    render = ("render", "--method", "mean-colour", "--model", model, "--masks", masks)
+    for command in (
+        ("export", "--scene", scene, "--targets", targets, *out),
+        (*render, "--targets", targets, "--method-log", folder / "logs/r.log", *out),
+    ):
+        geoevs(*command)
+        left = set(folder.parent.rglob("*")) - before
+        assert all(path.is_relative_to(folder / "out") or path.suffix == ".log" for path in left)
+        assert not list((folder / "out").rglob("*.png")) if (folder / "out").exists() else True
+
+
+def test_a_suite_whose_table_is_broken_is_named(folder):
+    write_text(folder / "audit/agreement.csv", "metric\nsparse_psnr\n")
+    with pytest.raises(GeoEvsError, match=r"agreement\.csv is not whole"):
+        make_page(folder)

@@ -85,3 +85,11 @@ def test_the_papers_number_and_bins(reported):
 def test_a_cell_that_is_none_is_named(reported, cell, sentence):
     with pytest.raises(GeoEvsError, match=re.escape(sentence)):
         explain(cell, reported[0])
+
+
+def test_a_bin_may_be_written_as_in_csv_files(reported):
+    lines = [
+        explain(Cell("pose_offset", "grey", "psnr", label), reported[0])
+        for label in ("15-30", "15 to 30")
+    ]
+    assert lines[0][1:] == lines[1][1:]
