@@ -120,8 +120,6 @@ def draw_page(name: str, table: pd.DataFrame, settings: TableSettings) -> alt.VC
         rows[0].hconcat[0] = rows[0].hconcat[0].add_params(CHOSEN)
     title = f"{spec.title}. Dashed: the frontier, what nothing beats in both; bars: intervals."
     title += " Fit seconds are without the training of networks (see tables/costs)."
-    outside = table.loc[table["outside"] != "", ["dataset", "outside"]].drop_duplicates()
-    title += "".join(f" {row.dataset}: {row.outside}." for row in outside.itertuples())
     return stacked(rows, title)
 
 
@@ -198,7 +196,7 @@ def layered(layers: list[alt.Chart], title: alt.TitleParams | str) -> alt.LayerC
     return alt.layer(*layers, width=WIDTH, height=HEIGHT, title=title)
 
 
-def _titled(title: str, points: pd.DataFrame) -> alt.TitleParams:
+def _titled(title: str, points: pd.DataFrame, said_too: str = "") -> alt.TitleParams:
     """A panel's title, and below it what its points do not say.
 
     That is whose mean is infinite, which no axis can show, and who lacks views or fits.
@@ -207,15 +205,15 @@ def _titled(title: str, points: pd.DataFrame) -> alt.TitleParams:
         "Beyond the axis (∞, some views are exact)": np.isinf(points["mean"]),
         UNRANKED: points["lacking"] + points["lacking_fits"] > 0,
     }
-    lines = [
-        line
+    texts = [
+        f"{text}: {', '.join(points.loc[those, 'name'].unique())}"
         for text, those in said.items()
         if those.any()
-        for line in textwrap.wrap(
-            f"{text}: {', '.join(points.loc[those, 'name'].unique())}",
-            SUBTITLE_WIDTH,
-            break_on_hyphens=False,
-        )
+    ]
+    lines = [
+        line
+        for text in [*texts, said_too]
+        for line in textwrap.wrap(text, SUBTITLE_WIDTH, break_on_hyphens=False)
     ]
     return alt.TitleParams(title, subtitle=lines) if lines else alt.TitleParams(title)
 
@@ -354,7 +352,8 @@ def _curve(points: pd.DataFrame, bins: list[str], title: str, over: str) -> alt.
     tips = ["name", "bin", "mean", "low", "high", "n", "lacking"]
     dots = [some.encode(y=y, shape=SHAPE, tooltip=tips) for some in _dots(base, data, 45)]
     bars = base.mark_rule().encode(y=alt.Y("low:Q", title=None), y2="high:Q")
-    return layered([base.mark_line().encode(y=y), bars, *dots], _titled(title, points))
+    titled = _titled(title, points, points["outside"].iloc[0])
+    return layered([base.mark_line().encode(y=y), bars, *dots], titled)
 
 
 def page_png(page: dict[str, Any]) -> bytes:

@@ -88,7 +88,8 @@ def speed_accuracy(
         table[f"{cost}_frontier"] = False
     last = {name: table.pop(name) for name in ("lacking", "lacking_fits")}
     outside = views_in_no_bin(spec, scores, settings)
-    table = table.assign(**last, outside=table["dataset"].map(outside).fillna(""))
+    said = [outside.get(dataset, "") for dataset in table["dataset"]]
+    table = table.assign(**last, outside=pd.Series(said, table.index, dtype="str"))
     for (_, _, metric), group in table[_whole(table)].groupby(["dataset", "bin", "metric"]):
         for cost in COSTS:
             table.loc[group.index, f"{cost}_frontier"] = _frontier(group, cost, metric)
@@ -160,7 +161,7 @@ def _frontier(rows: pd.DataFrame, cost: str, metric: str) -> pd.Series:
     """Which rows no other beats in both cost and mean."""
     sign = 1 if higher_is_better(metric) else -1
     ordered = rows.assign(gain=sign * rows["mean"]).sort_values(
-        [cost, "gain"], ascending=[True, False], kind="stable"
+        [cost, "gain", "name"], ascending=[True, False, True], kind="stable"
     )
     best = ordered["gain"].cummax().shift(fill_value=-math.inf)
     return ((ordered["gain"] > best) & ordered[cost].notna()).reindex(rows.index)

@@ -1,11 +1,13 @@
 import math
 
+import pandas as pd
 import pytest
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.results.entrants import Entrants, Info
+from geoevs.results.formats import to_latex, to_markdown
 from geoevs.results.settings import TableSettings
-from geoevs.results.table_specs import bin_labels
+from geoevs.results.table_specs import bin_labels, table_spec
 from geoevs.results.tables import make_table
 
 SETTINGS = TableSettings(
@@ -20,6 +22,7 @@ ENTRANTS = Entrants(
         "zeta.wide": Info("Zeta", "control"),
     }
 )
+FAILED = {"status": "failed", "value": math.nan}
 PAPER = ["three-dgs", "emernerf", "street-gaussians", "freevs", "geo-evs"]
 
 
@@ -176,9 +179,8 @@ def test_the_masked_table_has_both_splits(table):
 
 
 def test_failures_are_noted(table):
-    failed = {"status": "failed", "value": math.nan}
-    other = {"method": "b", **failed}
-    made = table("extrapolation", {}, {"frame": 1}, {"frame": 2, **failed}, other)
+    other = {"method": "b", **FAILED}
+    made = table("extrapolation", {}, {"frame": 1}, {"frame": 2, **FAILED}, other)
     row = one(made, method="mine")
     assert (row["n"], row["failed"], row["note"]) == (
         2,
@@ -186,6 +188,140 @@ def test_failures_are_noted(table):
         "failed on 1 of 3 views; mean of those delivered, not ranked",
     )
     assert one(made, method="b")["note"] == "failed on 1 of 1 views"
+
+
+def test_a_mean_of_fewer_views_is_marked_metric_by_metric(table):
+    psnr = {"metric": "psnr", "frame": 1}
+    made = table(
+        "extrapolation",
+        *({"method": "whole", "frame": frame} for frame in (0, 1)),
+        {"method": "whole", **psnr},
+        {"method": "failing"},
+        {"method": "failing", "frame": 1, **FAILED},
+        {"method": "failing", **psnr},
+        {"method": "absent"},
+        {"method": "gone", **FAILED},
+        {"method": "gone", "frame": 1, **FAILED},
+    )
+    partial = made.set_index("method")["partial"]
+    assert partial["whole"] == ""
+    assert partial["failing"] == "sparse_psnr"
+    assert partial["absent"] == "sparse_psnr"
+    assert partial["gone"] == ""  # it has no mean
+    notes = made.set_index("method")["note"]
+    assert (
+        notes["absent"]
+        == "lacks 1 of 2 views that others have; mean of those delivered, not ranked"
+    )
+    assert notes["gone"] == "failed on 2 of 2 views"
+
+
+def test_one_failed_seed_makes_a_mean_partial(table):
+    seeds = [{"seed": seed, "value": 20.0 + seed} for seed in (0, 1, 2)]
+    made = table("extrapolation", *seeds[:2], seeds[2] | FAILED, {"method": "other"})
+    assert one(made, method="mine")["partial"] == "sparse_psnr"
+    assert one(made, method="other")["partial"] == ""
+    assert one(table("extrapolation", *seeds, {"method": "other"}), method="mine")["partial"] == ""
+
+
+@pytest.mark.parametrize("lost", ["failing", "mean-colour"])
+def test_the_floor_is_met_on_the_views_that_both_delivered(table, lost):
+    # The hard frame is worth 10 dB less; who failed there would stand above, or below, everybody.
+    values = {"mean-colour": (20.0, 10.0), "failing": (19.0, 9.0), "fine": (21.0, 11.0)}
+    made = table(
+        "extrapolation",
+        *(
+            {"method": name, "frame": frame, "value": value}
+            | (FAILED if (name, frame) == (lost, 1) else {})
+            for name, numbers in values.items()
+            for frame, value in enumerate(numbers)
+        ),
+    )
+    flags = made.set_index("method")["below_floor"]
+    assert flags[["failing", "fine", "mean-colour"]].tolist() == ["sparse_psnr", "", ""]
+
+
+def test_distances_over_fewer_images_are_marked(rows):
+    usual = {"dataset": "d", "split": "observed", "variant": "default", "seed": 0, "status": "ok"}
+    usual |= {"metric": "fid", "low": 1.0, "high": 3.0, "floor": 1.0, "reason": ""}
+    sets = pd.DataFrame(
+        [
+            usual | {"method": "geo-evs", "value": 2.0, "views": 4, "failed": 4},
+            usual | {"method": "zeta", "value": 5.0, "views": 8, "failed": 0},
+            usual | {"method": "none", "value": math.nan, "views": 0, "failed": 8},
+        ]
+    )
+    scores = rows(
+        *({"method": name, "split": "observed", "metric": "psnr"} for name in sets["method"])
+    )
+    made = make_table("observed", scores, SETTINGS, ENTRANTS, sets).set_index("method")
+    assert made.loc[["geo-evs", "zeta", "none"], "partial"].tolist() == ["fid", "", ""]
+    text = to_markdown(table_spec("observed"), made.reset_index())
+    assert "2.00 [1.00, 3.00] †" in text
+    assert "5.00 [1.00, 3.00] |" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "places", "text"),
+    [
+        ("pose_offset", "pose_offset", [1.0, 9.0], ""),
+        (
+            "pose_offset",
+            "pose_offset",
+            [1.0, 10.0, 10.1, 31.0],
+            "2 of 4 views lie in no bin: 2 above 10",
+        ),
+        (
+            "sparsity",
+            "support_ratio",
+            [0.01, math.nan],
+            "1 of 2 views lie in no bin: 1 without a support_ratio",
+        ),
+        (
+            "sparsity",
+            "support_ratio",
+            [-0.1, 0.2],
+            "2 of 2 views lie in no bin: 1 below 0, 1 above 0.1",
+        ),
+    ],
+)
+def test_views_in_no_bin_are_counted_once_for_all_entrants(rows, name, column, places, text):
+    spec = table_spec(name)
+    scores = rows(
+        *(
+            {
+                "method": method,
+                "split": spec.splits[0],
+                "metric": metric,
+                column: place,
+                "frame": frame,
+            }
+            for method in ("mine", "other")
+            for metric in ("sparse_psnr", "sparse_ssim")
+            for frame, place in enumerate(places)
+        )
+    )
+    made = make_table(name, scores, SETTINGS, ENTRANTS)
+    assert made["outside"].unique().tolist() == [text]
+    inside = made.loc[made["method"] == "mine", "n"].sum()
+    assert inside == len(places) - int(text[:1] or 0)
+    page, latex = to_markdown(spec, made), to_latex(spec, made)
+    assert (f"\n{text}.\n" in page) == bool(text)
+    assert (f"\n% {text}\n" in latex) == bool(text)
+
+
+def test_an_angle_that_was_set_to_an_edge_is_on_it(table):
+    # As arc cosines give them.
+    angles = [4.999999999999999, 5.000000000000001, 10.000000000000002]
+    made = table(
+        "pose_offset",
+        *(
+            {"split": "pose-sweep", "pose_offset": angle, "frame": frame}
+            for frame, angle in enumerate(angles)
+        ),
+    )
+    assert made.loc[made["method"] == "mine", "n"].tolist() == [0, 3]
+    assert set(made["outside"]) == {""}
 
 
 def test_not_run_is_said_of_each_data_set_and_variant(table):

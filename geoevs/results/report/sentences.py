@@ -82,7 +82,7 @@ def _best(points: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -> 
     """
     if points["control"].all():
         return
-    ordered = points.sort_values("mean", ascending=False)
+    ordered = points.sort_values(["mean", "name"], ascending=[False, True])
     ranked, others = (ordered[ordered["lacking"] == 0], ordered[ordered["lacking"] > 0])
     methods, controls = ranked[~ranked["control"]], ranked[ranked["control"]]
     views = f"{METRIC_NAMES[points['metric'].iloc[0]]} of extrapolated views"
