@@ -183,9 +183,7 @@ def _read_info(path: Path) -> SceneInfo:
         name: tuple(described[name]) for name in ("cameras", "origin") if name in described
     }
     if not isinstance(described.get("made_with", {}), dict):
-        raise GeoEvsError(
-            f"{path} describes no scene ('made_with' is no mapping); remake the store"
-        )
+        raise GeoEvsError(f"{path} describes no scene ('made_with' is none); remake the store")
     info = SceneInfo(**described)
     check_info(info, path)
     return info

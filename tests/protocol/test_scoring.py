@@ -209,7 +209,7 @@ TAMPERED = {
     "no picture": (
         False,
         lambda path: path.write_bytes(b"png"),
-        "is not a whole PNG or JPEG image",
+        "is not a whole PNG or JPEG",
     ),
     "another size": (False, lambda path: write_image(path, np.zeros((9, 9, 3))), "shape is (9, 9"),
     "a link": (False, lambda path: relink(path), "no picture of this view was left"),

@@ -87,7 +87,7 @@ def places(value, place=()):
 
 def edit_json(path: Path, data) -> None:
     """Replace, remove or repeat something in a JSON file."""
-    root = {"root": json.loads(path.read_text())}
+    root = {"root": json.loads(path.read_text(encoding="utf-8"))}
     place = data.draw(st.sampled_from(list(places(root))[1:]), "place")
     *above, key = place
     parent = root
@@ -100,7 +100,7 @@ def edit_json(path: Path, data) -> None:
         del parent[key]
     elif isinstance(parent, list):
         parent.insert(key, parent[key])
-    path.write_text(json.dumps(root["root"]))
+    path.write_text(json.dumps(root["root"]), encoding="utf-8")
 
 
 def edit_bytes(path: Path, data) -> None:
