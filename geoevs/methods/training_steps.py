@@ -148,7 +148,7 @@ def train_method(
                 write_json(partial / ATTEMPT_FILE, {"attempt": attempt})
     except MethodFailedError as failure:
         print(f"error: {failure}", file=sys.stderr)
-        outcome = {"reason": str(failure), "stage": "training"}
+        outcome: dict[str, Any] = {"reason": str(failure), "stage": "training"}
         outcome["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
         if failure.limit is not None:
             outcome["limit"] = failure.limit
@@ -223,7 +223,8 @@ def _described(inputs: Inputs) -> dict[str, Any]:
 
 def _inputs(described: Mapping[str, Any]) -> Inputs:
     paths = {field.name for field in dataclasses.fields(Inputs) if "Path" in str(field.type)}
-    return Inputs(**{k: Path(v) if v and k in paths else v for k, v in described.items()})
+    given: dict[str, Any] = {k: Path(v) if v and k in paths else v for k, v in described.items()}
+    return Inputs(**given)
 
 
 def prepare_step(method: str, scene: str, inputs: Mapping[str, Any], out: str) -> None:

@@ -98,6 +98,7 @@ def costs():
         **{"status": "ok", "fit_seconds": 1.0, "render_seconds": 0.5, "peak_memory": 3_000_000},
         **{"gpu_memory": 0, "primitives": 10, "parameters": 0, "bytes": 2_000_000},
         **{"device": "cpu", "threads": 2, "scene": "s", "note": "", "training_seconds": math.nan},
+        **{"load_seconds": 0.25, "warm_up_seconds": 0.75},
     }
     return lambda *changes: pd.DataFrame([{**usual, **change} for change in changes])
 
