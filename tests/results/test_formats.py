@@ -120,8 +120,8 @@ def test_costs_of_a_method_that_always_fails_are_empty(costs):
     broken = {"status": FAILED, "method": "mean-colour", "fit_seconds": math.nan}
     text = cost_markdown(make_cost_table(costs({}, broken), ENTRANTS))
     assert text.split("\n\n")[2].splitlines()[-2:] == [
-        "| mine | 1 |  | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
-        "| *Mean colour* |  |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
+        "| mine | 1 |  | 0.25 | 0.75 | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
+        "| *Mean colour* |  |  |  |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
     ]
 
 
@@ -132,7 +132,7 @@ def test_training_is_a_cost_of_its_own(costs):
     assert math.isnan(made["training_seconds"].tolist()[1])
     assert made["fit_seconds"].tolist() == [1.0, 1.0]
     text = cost_markdown(made)
-    assert "| mine | 1 | 120 | 0.5 |" in text
+    assert "| mine | 1 | 120 | 0.25 | 0.75 | 0.5 |" in text
     assert "once for all scenes, and in no `fit s`" in text.replace("\n", " ")
 
 
