@@ -223,10 +223,8 @@ def _described(inputs: Inputs) -> dict[str, Any]:
 
 def _inputs(described: Mapping[str, Any]) -> Inputs:
     paths = {field.name for field in dataclasses.fields(Inputs) if "Path" in str(field.type)}
-    values: dict[str, Any] = {
-        name: Path(value) if value and name in paths else value for name, value in described.items()
-    }
-    return Inputs(**values)
+    given: dict[str, Any] = {k: Path(v) if v and k in paths else v for k, v in described.items()}
+    return Inputs(**given)
 
 
 def prepare_step(method: str, scene: str, inputs: Mapping[str, Any], out: str) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from geoevs.core.text import clean
 from geoevs.methods.contract import CONTROL, ORACLES, MethodInfo
 from geoevs.methods.finding import make_method, method_class
 from geoevs.protocol.entries import MethodEntry
@@ -34,4 +35,4 @@ def _info(name: str, options: Mapping[str, Any]) -> MethodInfo:
 def _as_text(info: MethodInfo) -> dict[str, str]:
     needs = info.needs if isinstance(info.needs, (tuple, list)) else [info.needs]
     values = {**vars(info), "needs": " ".join(map(str, needs))}
-    return {field: " ".join(str(value).split()) for field, value in values.items()}
+    return {field: clean(str(value)) for field, value in values.items()}

@@ -18,10 +18,10 @@ from geoevs.results.views import lacking, lacking_of_sets
 
 COSTS = {
     "fit_seconds": "fit, seconds",
-    "ready_seconds": "fit, load and first view, seconds",
     "render_seconds": "render, seconds a view",
     "memory_mb": "peak memory (main or GPU, the larger), MB",
     "size_mb": "model on disk, MB",
+    "ready_seconds": "fit, load and first view, seconds",
 }
 """What a picture costs, by its column and its axis. `ready_seconds` is the time until a method
 shows views at the pace of `render_seconds`, whether it works in the fit or puts that off."""

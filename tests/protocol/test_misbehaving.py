@@ -286,7 +286,9 @@ def test_a_method_that_misbehaves_is_rows_of_its_own(tried, name):
     elif ending == "ok":
         assert outcome["reason"] == ""
         assert set(scores["status"]) <= {"ok", "unavailable", "empty-mask"}
-    assert outcome["attempt"] == outcome["reason"].startswith("machine:")
+    file = {"fit": layout.MODEL + "/fit.json"}.get(ending, layout.RENDERS + "/render.json")
+    told = read_json(tried.run / file.format(dataset="d", scene="s", label=name))["front-side"]
+    assert told["attempt"] == told["reason"].startswith("machine:")
     if hangs[0]:  # what hangs while it renders was fitted before, which may take longer
         assert LIMIT <= took < LIMIT + LATE
     for log in tried.root.glob(f"{name}.*.log"):

@@ -173,6 +173,7 @@ def test_costs_have_intervals_and_logarithms(rows):
     assert row["render_seconds_low"] == pytest.approx(0.008)
     assert row["render_seconds_high"] == pytest.approx(0.012)
     assert (row["fit_seconds"], row["size_mb"], row["memory_mb"]) == (1e-3, 1e-4, 200)
+    assert row["ready_seconds"] == 4.0  # 3 of loading and 1 of the first view
     assert set(COSTS) <= set(table.columns)
 
 

@@ -102,6 +102,7 @@ def costs():
         **{"status": "ok", "fit_seconds": 1.0, "render_seconds": 0.5, "peak_memory": 3_000_000},
         **{"gpu_memory": 0, "primitives": 10, "parameters": 0, "bytes": 2_000_000},
         **{"device": "cpu", "threads": 2, "scene": "s", "note": "", "training_seconds": math.nan},
+        **{"load_seconds": 0.25, "warm_up_seconds": 0.75},
     }
     return lambda *changes: pd.DataFrame([{**usual, **change} for change in changes])
 
@@ -123,8 +124,8 @@ def test_costs_of_a_method_that_always_fails_are_empty(costs):
     broken = {"status": FAILED, "method": "mean-colour", "fit_seconds": math.nan}
     text = cost_markdown(make_cost_table(costs({}, broken), ENTRANTS))
     assert text.split("\n\n")[2].splitlines()[-2:] == [
-        "| mine | 1 |  | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
-        "| *Mean colour* |  |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
+        "| mine | 1 |  | 0.25 | 0.75 | 0.5 | 3 | 0 | 10 | 0 | 2 | cpu | 2 | 1 | 0 |",
+        "| *Mean colour* |  |  |  |  |  |  |  |  |  |  |  | 2 | 0 | 1 |",
     ]
 
 
@@ -135,7 +136,7 @@ def test_training_is_a_cost_of_its_own(costs):
     assert math.isnan(made["training_seconds"].tolist()[1])
     assert made["fit_seconds"].tolist() == [1.0, 1.0]
     text = cost_markdown(made)
-    assert "| mine | 1 | 120 | 0.5 |" in text
+    assert "| mine | 1 | 120 | 0.25 | 0.75 | 0.5 |" in text
     assert "once for all scenes, and in no `fit s`" in text.replace("\n", " ")
 
 
