@@ -93,15 +93,9 @@ def read_parquet(
         GeoEvsError: the file is missing, damaged or a bomb, or a column is missing, has another
             type, or lacks a text or a whole number. Numbers that are not whole may be NaN.
     """
-<<<<<<< HEAD
-    path, columns = Path(path), list(types if columns is None else columns)
-=======
     path, columns = check_file(path), list(types if columns is None else columns)
->>>>>>> main
     texts = [name for name in columns if types[name] == "string"]
     with whole_file(path):
-        if not path.is_file() and path.exists():
-            raise OSError("it is no file")  # and reading a pipe would never end
         file = pq.ParquetFile(path, read_dictionary=texts)
         schema, count = file.schema_arrow, file.metadata.num_rows
         most, for_a_byte = MOST_ROWS

@@ -206,7 +206,11 @@ def test_the_oracle_is_black_where_nobody_knows(stage, tmp_path):
 # What happens to one picture before or after it is sealed, and the reason that its rows get.
 TAMPERED = {
     "not made": (False, Path.unlink, "no picture of this view was left"),
-    "no picture": (False, lambda path: path.write_bytes(b"png"), "is not a whole PNG or JPEG image"),
+    "no picture": (
+        False,
+        lambda path: path.write_bytes(b"png"),
+        "is not a whole PNG or JPEG image",
+    ),
     "another size": (False, lambda path: write_image(path, np.zeros((9, 9, 3))), "shape is (9, 9"),
     "a link": (False, lambda path: relink(path), "no picture of this view was left"),
     "removed": (True, Path.unlink, "was removed after it was rendered"),
