@@ -10,10 +10,13 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
+from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, to_float
 from geoevs.core.names import inside
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, label_of, read_outcomes
 from geoevs.protocol.metrics import METRICS
+from geoevs.protocol.pictures import PICTURES
+from geoevs.protocol.provenance import check_answers
 from geoevs.protocol.rows import protocol_fingerprint
 from geoevs.protocol.scoring import THINNING, score_regions
 from geoevs.protocol.targets import Target
@@ -37,6 +40,10 @@ def check_scenes(record: Record, problems: list[str]) -> str:
         answers = Answers(record.run, *place)
         targets = answers.targets
         count += len(targets)
+        try:
+            check_answers(answers, record.manifest["seed"], protocol)
+        except GeoEvsError as error:
+            problems.append(str(error))
         problems += _absent(answers)
         measured = set(rows["fingerprint"].unique())
         expected = protocol_fingerprint(answers.scene, protocol)
@@ -86,14 +93,12 @@ def check_pictures(record: Record, problems: list[str]) -> str:
             folder = answers.renders(label_of(*entrant))
             seals = _seals(folder)
             rendered = mine.loc[mine["status"] != FAILED, VIEW].drop_duplicates()
-            wanted = set()
             for view in rendered.itertuples(index=False, name=None):
                 if view in targets:
-                    wanted.add(targets[view].key)
+                    count += 1
                     problems += _picture_faults(folder, targets[view], seals)
-            count += len(wanted)
             there = {path.relative_to(folder).as_posix() for path in folder.rglob("*.png")}
-            for name in sorted(there - {f"{key}.png" for key in wanted}):
+            for name in sorted(there - {f"{target.key}.png" for target in answers.targets}):
                 problems.append(f"{folder / name} is a picture that no row scores")
     return f"{count} renders"
 
@@ -103,7 +108,7 @@ def _seals(folder: Path) -> dict[str, str]:
     outcomes = read_outcomes(folder / "render.json")
     seals: dict[str, str] = {}
     for outcome in outcomes.values():
-        seals |= outcome.get("pictures") or {}
+        seals |= outcome.get(PICTURES) or {}
     return seals
 
 

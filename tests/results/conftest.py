@@ -33,7 +33,7 @@ def rows():
             **PLACE,
             **{"split": "extrapolation", "method": "mine", "variant": "default"},
             **{"metric": "sparse_psnr", "value": 20.0, "status": "ok", "fingerprint": "f"},
-            **{"support_ratio": 0.01, "pose_offset": 1.0, "lateral_shift": 0.0},
+            **{"support_ratio": 0.01, "pose_offset": 1.0, "lateral_shift": 0.0, "target": "t"},
         }
         return score_frame([{**usual, **change} for change in changes])
 

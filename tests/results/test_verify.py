@@ -15,9 +15,13 @@ from geoevs.core.parquet import write_parquet
 from geoevs.methods.contract import ORACLES
 from geoevs.protocol.entries import FINE, MethodEntry
 from geoevs.protocol.oracle import oracle_step
+from geoevs.protocol.pictures import PICTURES, seal_pictures
+from geoevs.protocol.provenance import references_stamp, targets_stamp
+from geoevs.protocol.reference import write_references
 from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
 from geoevs.protocol.scoring import cost_rows, score_method
 from geoevs.protocol.set_scoring import score_sets, set_frame
+from geoevs.protocol.targets import write_targets
 from geoevs.results.costs import write_cost_table
 from geoevs.results.entrants import Entrants
 from geoevs.results.formats import write_table
@@ -41,6 +45,12 @@ def honest(run, tmp_path_factory):
     cost = {**FINE, "threads": 1, "peak_memory": 1, "gpu_memory": 0, "fit_seconds": 1.0}
     scores, costs, sets = [], [], []
     protocol = {**VIEWS, "reference_keep": KEEPS}
+    scene, targets = answers.scene, answers.targets
+    where = [
+        run / path.format(**PLACE) for path in (layout.TARGETS, layout.REFERENCES, layout.MASKS)
+    ]
+    write_targets(where[0], targets, targets_stamp(scene, protocol, 0))
+    write_references(*where[1:], scene, targets, 0, references_stamp(scene, where[0], 0))
     fingerprint = protocol_fingerprint(answers.scene, protocol)
     for name in ("grey", ORACLES[0]):
         entry, folder = MethodEntry(name), answers.renders(name)
@@ -48,7 +58,8 @@ def honest(run, tmp_path_factory):
         if name in ORACLES:
             for sources in kinds:
                 oracle_step(name, str(run), *PLACE.values(), sources, str(folder))
-        write_json(folder / "render.json", dict.fromkeys(kinds, cost))
+        sealed = {**cost, PICTURES: seal_pictures(folder, targets)}
+        write_json(folder / "render.json", dict.fromkeys(kinds, sealed))
         scores += score_method(entry, answers, KEEPS, fingerprint)
         costs += cost_rows(entry, answers)
         sets += score_sets(entry, run, "d", ["s"], 0.95)
@@ -115,10 +126,6 @@ def test_a_table_that_its_rows_do_not_give_is_found(copy):
 
 def test_pictures_of_another_size_kind_or_content_are_found(copy):
     path = picture(copy)
-    outcomes = read_json(path.parents[1] / "render.json")
-    outcomes["all-cameras"]["pictures"] = {"front/000000": hash_path(path)}
-    write_json(path.parents[1] / "render.json", outcomes)
-    assert problems(copy) == {}
     write_image(path, np.full((48, 72, 3), 98, np.uint8))
     assert problems(copy)["pictures"] == [f"{path} is not the picture that was rendered"]
     write_image(path, np.full((48, 71, 3), 99, np.uint8))
@@ -175,6 +182,14 @@ def test_missing_answers_are_found(copy, name):
     found = problems(copy)
     assert "scenes" in found
     assert str(path) in found["scenes"][0]
+
+
+def test_answers_of_another_seed_are_found(copy):
+    manifest = read_json(copy / layout.MANIFEST)
+    write_json(copy / layout.MANIFEST, manifest | {"seed": 1})
+    found = problems(copy)
+    assert found.keys() == {"scenes"}
+    assert "was made with other" in found["scenes"][0]
 
 
 def test_another_protocol_and_an_unreadable_manifest_are_found(copy):
