@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geoevs.core.files import whole_file, write_arrays
+from geoevs.core.files import open_arrays, whole_file, write_arrays
 from geoevs.methods.contract import Views
 from geoevs.scenes.checks import check_depth
 from geoevs.scenes.store import Scene
@@ -56,8 +56,7 @@ class PointMaps:
 
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
-        with whole_file(path):
-            self._file = np.load(path, allow_pickle=False)
+        self._file = open_arrays(path)
 
     def depth(self, camera: str, frame: int) -> np.ndarray:
         """(H, W) float32 metres along the optical axis, 0 = none.

@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import open_arrays, whole_file, write_arrays
 from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 
@@ -25,13 +24,13 @@ def check_array(array: np.ndarray, what: str, kinds: str, shape: tuple[int | Non
         shape: its shape; None for any length of an axis.
 
     Raises:
-        GeoEvsError: it is of another type or shape, or not finite.
+        ValueError: it is of another type or shape, or not finite.
     """
     fits = array.ndim == len(shape) and all(
         wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
     )
     if array.dtype.kind not in kinds or not fits or not np.isfinite(array).all():
-        raise GeoEvsError(f"its array '{what}' is {array.dtype} of shape {array.shape}, or has NaN")
+        raise ValueError(f"its array '{what}' is {array.dtype} of shape {array.shape}, or has NaN")
 
 
 def record_arrays(records: Mapping[str, Any], made_with: Stamp) -> dict[str, np.ndarray]:

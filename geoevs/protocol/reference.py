@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import encode_arrays, write_files
 from geoevs.core.randomness import Rng
 from geoevs.core.stamps import NOTHING, Stamp
@@ -41,7 +40,7 @@ class SparseReference:
         """Check what was read of a file.
 
         Raises:
-            GeoEvsError: an array is of another type, shape or range.
+            ValueError: an array is of another type, shape or range.
         """
         check_array(self.reprojected, "reprojected", "b", (None, None))
         check_array(self.pixels, "pixels", "iu", (None,))
@@ -56,7 +55,7 @@ class SparseReference:
             and min(self.rgb.min(), self.rank.min()) >= 0
             and max(self.rgb.max(), self.rank.max()) <= 1
         ):
-            raise GeoEvsError("its pixels, colours or ranks are out of range")
+            raise ValueError("its pixels, colours or ranks are out of range")
 
     def image(self) -> np.ndarray:
         """(H, W, 3) float32: R of the paper, zero where invalid."""

@@ -198,8 +198,8 @@ def why_rank_agreement(cell: Cell, record: Record) -> Found:
     return Found(
         [
             value_line(cell, value, dataset),
-            f"note      Kendall's tau of {row['methods']} methods' means over the frames that all "
-            "of them have; no one picture gives it",
+            f"note      Kendall's tau of the means of {row['methods']} methods that lack no view; "
+            "no one picture gives it",
             f"paper     {row['paper']}",
             f"here      {row['here']}",
         ],

@@ -188,3 +188,29 @@ def test_latex_has_rules_between_splits(table):
 def test_different_protocols_are_refused(table):
     with pytest.raises(GeoEvsError, match="come from different protocols"):
         table({"variant": "v1"}, {"fingerprint": "g"})
+
+
+def test_a_variant_that_failed_is_marked_and_met_on_common_views(table):
+    failed = {"status": "failed", "value": math.nan}
+    made = table(
+        *values("default", [21.0, 11.0]),
+        *values("v1", [22.0]),
+        {"variant": "v1", "frame": 1, **failed},
+    )
+    variant, full = by_variant(made).values()
+    assert (variant["partial"], full["partial"]) == ("extrapolation_sparse_psnr", "")
+    assert variant["extrapolation_sparse_psnr_diff"] == -1.0  # though 22 is more than 16
+    assert "| extrapolation sparse_psnr | 22.00 † | 16.00 [" in ablation_markdown(made)
+
+
+def test_seeds_spread_over_the_views_that_all_delivered(table):
+    failed = {"status": "failed", "value": math.nan}
+    made = table(
+        *values("default", [20.0, 10.0], seed=0),
+        *values("default", [22.0], seed=1),  # without the hard frame 7 dB above the other's mean
+        {"variant": "default", "frame": 1, "seed": 1, **failed},
+        *values("v1", [20.0, 10.0]),
+    )
+    full = by_variant(made)["default"]
+    assert full["extrapolation_sparse_psnr_seed_sd"] == pytest.approx(2 / math.sqrt(2))
+    assert full["partial"] == "extrapolation_sparse_psnr"

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS
-from geoevs.results.audit import agreement, audit_tables, conditioning_gain
+from geoevs.results.audit import agreement, audit_tables, conditioning_gain, support_bias
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.audit_page import audit_markdown, write_audit
 from geoevs.results.chart_pages import page_png
@@ -164,3 +164,55 @@ def test_the_suite_is_its_tables_two_charts_and_a_page(rows, tmp_path):
     assert (tmp_path / "audit.md").read_text() == audit_markdown(tables)
     assert "bias of support" in (tmp_path / "support_bias.html").read_text()
     assert "tau" in (tmp_path / "agreement.html").read_text()
+
+
+def test_who_lacks_a_view_is_neither_ranked_nor_takes_its_frame_from_others():
+    rows = agreeing({m: d + 3 for m, d in DENSE.items()})
+    # It rendered one scene's frames alone, or one of two seeds did.
+    other = [row("agreement", "d", "sparse_psnr", frame, 99.0, 1.0) for frame in (0, 1)]
+    seeds = [row("agreement", "e", "sparse_psnr", f, 99.0, 1.0) for f in (*FRAMES, *FRAMES[:2])]
+    (found,) = agreement(pd.DataFrame([*rows, *other, *seeds]), SETTINGS).to_dict("records")
+    assert (found["entrants"], found["left_out"], found["tau"], found["bias"]) == (4, 2, 1, 3)
+
+
+def test_bias_of_support_is_of_those_that_have_every_view():
+    whole = [row("random-support", "a", "sparse_psnr", frame, 2.0, 1.0) for frame in FRAMES]
+    partial = row("random-support", "b", "sparse_psnr", 0, 9.0, 1.0)
+    table = support_bias(pd.DataFrame([*whole, partial]), SETTINGS)
+    assert table["mean"].tolist() == [1.0]
+
+
+def gaining(**gains):
+    """Rows of gains on points that may be read; None is a view without a render."""
+    values = {"mean-colour": [0.0, 0.0], **gains}
+    return pd.DataFrame(
+        [
+            row("conditioning", method, "sparse_psnr", frame, 20.0 + gain, 20.0)
+            for method, some in values.items()
+            for frame, gain in enumerate(some)
+            if gain is not None
+        ]
+    )
+
+
+def leaks(table):
+    ceiling = pd.DataFrame([row("ceiling", "", "sparse_psnr", 0, 31.0, np.nan)])
+    page = audit_markdown(audit_tables(pd.concat([ceiling, table]), SETTINGS, ENTRANTS))
+    return [line for line in page.splitlines() if "Leaks" in line]
+
+
+def test_the_most_that_is_gained_is_of_who_has_every_view():
+    rows = gaining(a=[1.0, 1.0], b=[9.0, None])
+    assert conditioning_gain(rows, SETTINGS).set_index("method")["lacking"].to_dict() == {
+        "a": 0,
+        "b": 1,
+    }
+    (text,) = leaks(rows)
+    assert "A gains 1.00 [1.00, 1.00] dB over" in text
+    assert leaks(gaining(b=[9.0, None], a=[None, 1.0])) == []
+
+
+def test_a_loss_is_no_gain():
+    (text,) = leaks(gaining(a=[-0.5, -0.5], b=[-0.75, -0.75]))
+    assert "nobody gains: A has -0.50 [-0.50, -0.50] dB over the split" in text
+    assert text.endswith("the median entrant's difference is -0.62.")

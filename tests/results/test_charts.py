@@ -206,6 +206,74 @@ def test_entrants_that_failed_are_no_points(rows):
     assert "reproject" not in set(charted((scores, costs))["method"])
 
 
+def failing(scores, method, frame=1):
+    """The score rows with one frame that a method failed on."""
+    lost = (scores["method"] == method) & (scores["frame"] == frame)
+    return scores.assign(
+        value=scores["value"].mask(lost), status=scores["status"].mask(lost, "failed")
+    )
+
+
+def test_who_lacks_views_is_on_no_frontier_and_pushes_nobody_off_it(rows):
+    scores, costs = rows
+    hard = scores["frame"] == 1
+    scores.loc[hard, "value"] -= 20  # so that the mean without this frame is the highest
+    table = charted((failing(scores, "mean-colour"), costs)).set_index(["method", "variant"])
+    assert table["lacking"].to_dict() == dict.fromkeys(table.index, 0) | {
+        ("mean-colour", "default"): 1
+    }
+    frontier = table.index[table["render_seconds_frontier"]].tolist()
+    assert frontier == [("reproject", "default"), ("geo-evs", "t1")]
+
+
+def test_costs_of_fewer_fits_are_no_frontier_either(rows):
+    scores, costs = rows
+    # Cheap where it could fit, and all views of this bin are of that scene.
+    costs.loc[(costs["method"] == "mean-colour") & (costs["scene"] == "t"), "status"] = "failed"
+    table = charted((scores, costs), "pose_offset").set_index(["bin", "method", "variant"])
+    row = table.loc[("0-10", "mean-colour", "default")]
+    assert (row["lacking"], row["lacking_fits"], row["render_seconds_frontier"]) == (
+        0,
+        2 - 1,
+        False,
+    )
+
+
+def test_who_is_not_ranked_is_drawn_hollow_and_named(rows):
+    scores, costs = rows
+    for name in ("extrapolation", "pose_offset"):
+        whole = draw_page(name, charted(rows, name), SETTINGS).to_json()
+        assert "Hollow" not in whole
+        assert '"filled": false' not in whole
+    table = charted((failing(scores, "reproject"), costs))
+    page = draw_page("extrapolation", table, SETTINGS)
+    (panel, *_) = page.vconcat[0].hconcat
+    assert panel.title.subtitle == [
+        "Hollow, not ranked, as views or fits are missing:",
+        "reproject",
+    ]
+    assert '"filled": false' in page.to_json()
+    assert page_png(page.to_dict()).startswith(b"\x89PNG")
+
+
+def test_distances_over_fewer_images_are_not_ranked(rows):
+    sets = distances("texture_energy")
+    sets[5] |= {"value": np.nan, "views": 0, "failed": 4}
+    table = with_sets(rows, sets)
+    table = table[table["metric"] == "texture_energy"].set_index("method")
+    assert table["lacking"].tolist() == [0, 0, 4]
+    assert table["render_seconds_frontier"].tolist() == [True, True, False]
+
+
+def test_views_in_no_bin_are_said_above_the_curve(rows):
+    scores, costs = rows
+    scores["pose_offset"] += 16.0
+    table = charted((scores, costs), "pose_offset")
+    assert set(table["outside"]) == {"1 of 2 views lie in no bin: 1 above 30"}
+    (curve, *_) = draw_page("pose_offset", table, SETTINGS).vconcat[0].hconcat
+    assert curve.title.subtitle == ["1 of 2 views lie in no bin: 1 above 30"]
+
+
 def observed(rows, exact):
     """The rows with finite observed views, but for those of some methods."""
     scores, costs = rows

@@ -157,3 +157,43 @@ def test_another_data_set_is_named(folder):
     assert found["difference"].tolist() == [7.0]
     with pytest.raises(GeoEvsError, match="no data set 'f' here"):
         compare_entrants("extrapolation", "mine", "other", run, "f")
+
+
+def test_means_are_of_the_pairs_and_what_is_left_out_is_counted(folder):
+    # 1 dB worse on each view that both have; its fit of the hard scene failed.
+    run = folder(
+        *series("mine", [25.0, 26.0]),
+        *series("mine", [math.nan] * 2, scene="hard", status="failed"),
+        *series("other", [26.0, 27.0]),
+        *series("other", [10.0, 11.0], scene="hard"),
+    )
+    table = compare_entrants("extrapolation", "mine", "other", run)
+    (row,) = table.to_dict("records")
+    assert (row["first"], row["second"], row["difference"]) == (25.5, 26.5, -1.0)
+    assert (row["pairs"], row["left_out"]) == (2, 2)
+    header, line, *note = comparison_text(table, "mine", "other").splitlines()
+    assert header.split()[-2:] == ["left", "out"]
+    assert line.split()[-2:] == ["2", "2"]
+    assert " ".join(note).startswith("All numbers are of the pairs.")
+
+
+def test_one_seed_that_failed_leaves_the_pairs_of_the_others(folder):
+    run = folder(
+        *series("mine", [3.0, 5.0], seed=0),
+        *series("mine", [7.0], seed=1),
+        {"method": "mine", "seed": 1, "frame": 1, "value": math.nan, "status": "failed"},
+        *series("other", [1.0, 1.0]),
+    )
+    (row,) = compare_entrants("extrapolation", "mine", "other", run).to_dict("records")
+    assert (row["first"], row["second"], row["difference"]) == (5.0, 1.0, 4.0)
+    assert (row["pairs"], row["left_out"]) == (3, 1)
+
+
+def test_targets_of_a_frame_meet_themselves_alone(gain):
+    mine = [{"method": "mine", "target": name, "value": 3.0} for name in "lr"]
+    other = [
+        {"method": "other", "target": name, "value": v} for name, v in (("l", 1.0), ("r", 9.0))
+    ]
+    assert gain(*mine, *other).pairs == 2
+    one = gain(*mine[:1], *other)
+    assert (one.mean, one.pairs, one.left_out) == (2.0, 1, 1)

@@ -164,3 +164,55 @@ def test_the_scale_of_sizes_names_them_so_that_they_count_as_fixed():
     variants = [label.split(".")[1] for label in labels if "." in label]  # others choose
     assert len(variants) == 6
     assert all(map(FIXED.fullmatch, variants))
+
+
+def test_a_size_that_lacks_a_view_is_neither_the_best_nor_the_chosen(rows, costs):
+    # 8k delivers the easy frame alone, which is worth 10 dB more.
+    scores = rows(
+        *scored("s", default=(30.0, 20.0), _2k=(29.0, 19.0), _8k=(31.0,)),
+        {"scene": "s", "method": "three-dgs", "variant": "8k", "frame": 1, "status": "failed"}
+        | {"value": math.nan},
+        *scored("t", default=(30.0,), _2k=(29.0, 19.0), _8k=(31.0, 21.0)),
+    )
+    fits = costs(*entrants("s"), *entrants("t"))
+    table = make_complexity_table(scores, fits, ENTRANTS).set_index("scene")
+    assert table.loc["s", ["best_variant", "best_psnr", "regret_db"]].tolist() == ["2k", 24.0, -1.0]
+    assert table.loc["s", "note"] == "views are missing of 8k"
+    assert table.loc["t", "note"] == "no chosen size here; views are missing of default"
+    assert math.isnan(table.loc["t", "regret_db"])
+    assert table.loc["mean", ["regret_db", "note"]].tolist() == [-1.0, "of 1 scenes, not all 2"]
+    curves = size_curves(scores, fits, SETTINGS, ENTRANTS)
+    missing = curves.set_index(["scene", "variant"])["lacking"]
+    assert missing.to_dict() == {
+        **dict.fromkeys([("s", "2k"), ("s", "default"), ("t", "2k"), ("t", "8k")], 0),
+        **dict.fromkeys([("s", "8k"), ("t", "default")], 1),
+    }
+    assert "Hollow: views are missing" in size_chart(curves).to_json()
+
+
+def test_one_failed_seed_leaves_a_size_out(rows, costs):
+    fits = entrants("s", {"default": (3000, 10.0), "2k": (2000, 4.0), "8k": (8000, 20.0)})
+    second = {**fits[2], "seed": 1, "status": "failed", "fit_seconds": math.nan}
+    lost = {
+        "method": "three-dgs",
+        "variant": "8k",
+        "seed": 1,
+        "value": math.nan,
+        "status": "failed",
+    }
+    scores = rows(*scored(default=(20.0,), _2k=(19.0,), _8k=(25.0,)), lost)
+    table = make_complexity_table(scores, costs(*fits, second), ENTRANTS)
+    assert table["best_variant"].tolist()[0] == "2k"
+    assert table["note"].tolist()[0] == "views are missing of 8k"
+
+
+def test_a_method_whose_fixed_sizes_all_failed_still_has_its_rows(rows, costs):
+    fits = [
+        fit | ({"status": "failed"} if fit["variant"] != "default" else {}) for fit in entrants()
+    ]
+    scores = rows(*scored(default=(20.0,), _2k=(math.nan,), _8k=(math.nan,)))
+    table = make_complexity_table(scores, costs(*fits), ENTRANTS)
+    assert table["note"].tolist() == [
+        "no fixed size here; views are missing of 2k, 8k",
+        "of 0 scenes, not all 1",
+    ]

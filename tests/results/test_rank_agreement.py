@@ -124,3 +124,18 @@ def test_one_frame_a_scene_has_no_interval(agreement):
 def test_protocols_are_not_mixed(rows):
     with pytest.raises(GeoEvsError, match=r"protocol"):
         make_rank_agreement(rows({}, {"fingerprint": "g"}), SETTINGS)
+
+
+def test_a_method_that_lacks_a_view_is_in_no_order(agreement, rows):
+    # The worst method fails on the frame that is hard for all: by its other frame it is the best.
+    values = {name: [50.0 + place, float(place)] for place, name in enumerate(PAPER)}
+    whole = agreement(values)
+    assert (whole["tau"], whole["methods"]) == (pytest.approx(1), 5)
+    row = agreement({**values, PAPER[0]: [99.0, math.nan]})
+    assert (row["methods"], row["left_out"]) == (4, 1)
+    assert row["tau"] == pytest.approx(1)
+    # One of several targets, or of several seeds, is enough.
+    more = [{"method": name, "target": "other", "value": 9.0} for name in PAPER[1:]]
+    assert agreement(values, more=more)["methods"] == 4
+    lost = {"method": PAPER[4], "seed": 1, "value": math.nan, "status": "failed"}
+    assert agreement(values, more=[lost])["methods"] == 4

@@ -271,3 +271,68 @@ def test_the_chart_goes_from_clean_to_hardest(rows):
     assert "valid pixels of the LiDAR condition" in page
     assert 'src="http' not in page
     assert np.isfinite(shown["mean"]).all()
+
+
+def lost(made, level, frames=(0,)):
+    """Rows of which some frames failed at a level, in the second draw."""
+    failed = {"value": math.nan, "status": "failed"}
+    return [
+        row | (failed if row["level"] == level and row["frame"] in frames and row["seed"] else {})
+        for row in made
+    ]
+
+
+@pytest.mark.parametrize(("level", "named"), [(0.05, "0.05"), (0.0, "clean"), (0.01, "0.01")])
+def test_a_method_breaks_where_it_lacks_a_view(rows, level, named):
+    mine = lost(curve("mine", 30.0, [29.0, 28.0, 27.0]), level)
+    made = rows(*CONTROLS, *mine)
+    row = one(breaking_points(made, *GIVEN), method="mine")
+    assert (row["level"], row["low"], row["high"], row["lacking"]) == (named, named, named, 1)
+    assert f"| mine | {named} † |" in page_of(made)
+
+
+def test_a_control_that_lacks_a_view_is_no_rival_there(rows):
+    # Of its easy frame alone the control would be 5 dB above the method.
+    control = curve("nearest-view", 10.0, [26.0, 9.0, 9.0])
+    mine = curve("mine", 25.0, [21.0, 17.0, 11.0])
+    row = one(breaking_points(rows(*CONTROLS, *lost(control, 0.1), *mine), *GIVEN), method="mine")
+    assert row["level"] == "none"
+    row = one(breaking_points(rows(*CONTROLS, *control, *mine), *GIVEN), method="mine")
+    assert row["level"] == "0.1"
+
+
+def test_survivors_have_a_mean_and_neither_changes_nor_a_worst_tenth(rows):
+    uneven = [
+        row | {"value": row["value"] - 9 * row["frame"]} for row in curve("mine", 25, [20] * 3)
+    ]
+    made = rows(*CONTROLS, *lost(uneven, 0.01, frames=(1,)))
+    table = make_stability_table(made, *GIVEN)
+    row = one(table, method="mine", level=0.01)
+    assert (row["mean"], row["n"], row["lacking"]) == (pytest.approx(17), 3, 1)
+    for name in ("change", "change_low", "relative_degradation", "worst_decile"):
+        assert math.isnan(row[name])
+    assert row["failure_rate"] == 0.25
+    assert one(table, method="mine", level=0.05)["change"] == -5
+    assert "| mine | 17.0 † |" in page_of(made)
+    chart = stability_curves(curves(table, "support"), "support").to_json()
+    assert "Hollow: views are missing" in chart
+    whole = make_stability_table(rows(*CONTROLS), *GIVEN)
+    assert "Hollow" not in stability_curves(curves(whole, "support"), "support").to_json()
+
+
+def test_a_floor_that_lacks_views_marks_nobody(rows):
+    mine = curve("mine", 25.0, [20, 15, 9])
+    assert "| mine | 9.0 ▼, -16.0 |" in page_of(rows(*CONTROLS, *mine))
+    page = page_of(rows(*lost(CONTROLS[:16], 0.01), *CONTROLS[16:], *mine))
+    assert "| mine | 9.0, -16.0 |" in page
+
+
+def test_a_spread_over_fewer_scenes_is_marked(rows):
+    spreads = [
+        {"method": method, "scene": scene, "stressor": "clean", "metric": f"seed_spread_{part}"}
+        for method, scene in (("mine", "s"), ("mine", "t"), ("other", "s"))
+        for part in ("supported", "new")
+    ]
+    page = page_of(rows(*CONTROLS, *({**row, "value": 0.1} for row in spreads)))
+    assert "| other | 25.50 † | 25.50 † |" in page
+    assert "| mine | 25.50 | 25.50 |" in page

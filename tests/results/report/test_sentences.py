@@ -108,3 +108,62 @@ def test_what_angles_cost_is_the_last_bin_minus_the_first(said):
         "From 0-10 to 20-30 degrees off the front camera, sparse PSNR changes by: "
         "other +0.50 dB, Mine -1.00 dB, Geo-EVS -2.50 dB."
     ) in lines
+
+
+NAN = float("nan")
+FAILED = {"value": NAN, "status": "failed"}
+
+
+def test_survivors_of_the_hard_frame_are_not_the_best(best):
+    # Geo-EVS is 1 dB worse than Mine wherever both are, and has no hard frame.
+    text = best(
+        geo_evs=[29.0, NAN], mine=[30.0, 10.0], reproject=[31.0, 9.0], mean_colour=[5.0, NAN]
+    )
+    assert text.startswith("By sparse PSNR of extrapolated views the best method is Mine (20.00 [")
+    assert "The best control is Reprojection (20.00 [" in text
+    assert text.endswith(
+        "Not ranked, as views are missing: Geo-EVS (29.00 dB on 1 of 2 views), "
+        "Mean colour (5.00 dB on 1 of 2 views)."
+    ) or text.endswith("mean-colour (5.00 dB on 1 of 2 views).")
+
+
+def test_where_every_method_lacks_a_view_none_is_the_best(said):
+    lines = said(
+        {"method": "geo-evs", "value": 21.0},
+        {"method": "geo-evs", "frame": 1, **FAILED},
+        {"method": "reproject", "frame": 1, "value": 20.0},
+        {"method": "reproject", "value": 20.0},
+    )
+    (text,) = (line for line in lines if line.startswith("By "))
+    assert "no method is the best, as none delivered all of them. The best control is Rep" in text
+    assert "View by view" not in text
+    assert lines[0].endswith("; 1 of them failed on some or all.")
+    (frontier,) = (line for line in lines if "faster and better" in line)
+    assert frontier.startswith("Of those that delivered every view, nothing is both faster and")
+    assert "Geo-EVS" not in frontier
+
+
+def test_a_decline_needs_the_views_of_both_ends(said):
+    values = {"geo-evs": (21.0, 18.5), "mine": (20.0, None), "other": (None, 19.0)}
+    lines = said(
+        *[
+            {"method": method, "split": "pose-sweep", "pose_offset": angle, "frame": frame}
+            | ({"value": number} if number and not (method == "other" and frame) else FAILED)
+            for method, numbers in values.items()
+            for angle, number in zip((5.0, 25.0), numbers, strict=True)
+            for frame in (0, 1)
+        ]
+    )
+    (text,) = (line for line in lines if line.startswith("From 0-10 to 20-30"))
+    assert text.endswith(
+        "changes by: Geo-EVS -2.50 dB. Left out, as views are missing: Mine, other."
+    )
+
+
+def test_worse_than_the_floor_says_of_which_views(said):
+    floor = [{"method": "mean-colour", "frame": frame, "value": 20.0} for frame in (0, 1)]
+    lines = said(
+        *floor, {"method": "mine", "value": 19.0}, {"method": "mine", "frame": 1, **FAILED}
+    )
+    (text,) = (line for line in lines if line.startswith("Worse than one colour"))
+    assert text.endswith("Mine on sparse_psnr (on the views that it delivered).")

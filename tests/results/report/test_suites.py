@@ -77,3 +77,9 @@ def test_one_method_is_compared_with_nobody(tmp_path, level, share, never):
     assert f"Mine, after {share} % of the levels" in sentence
     assert "the first" not in sentence
     assert ("never under support" in sentence) == never
+
+
+def test_a_stressor_that_no_control_could_judge_counts_for_nobody(tmp_path):
+    write_stability(tmp_path, {"mine": ("", "45"), "other": ("", "0")})
+    (sentence,) = summarise_suites(tmp_path)
+    assert "the best control: Mine, after 50 % of the levels (mean of 1 stressors)" in sentence
