@@ -130,7 +130,8 @@ class Source:
         for name in info.cameras:
             path = folder / f"camera/{name}/{number:02d}.jpg"
             image = read_image(path)
-            camera = read_camera(path, number, *image.shape[:2], info.origin)
+            height, width = image.shape[:2]
+            camera = read_camera(path, number, height, width, info.origin)
             calibrated[name] = camera.resized(self.height, self.width)
             images[name] = cv2.resize(
                 image, (self.width, self.height), interpolation=cv2.INTER_AREA
