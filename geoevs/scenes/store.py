@@ -81,8 +81,8 @@ def camera_from_json(entry: Mapping[str, Any], name: str, file: Path) -> Camera:
     _check_undistorted(entry, who)
     fx, fy, cx, cy = (number(entry[field], field, who) for field in ("fl_x", "fl_y", "cx", "cy"))
     pose = _matrix(entry["transform_matrix"], who) @ OPENCV_FROM_OPENGL
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     try:
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         return Camera(K, pose, entry["h"], entry["w"], name)
     except GeoEvsError as error:
         raise GeoEvsError(f"{file}: {error}") from error
