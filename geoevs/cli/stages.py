@@ -183,7 +183,7 @@ def score(
     """Score a method's renders of a scene: one row a target and metric."""
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
-    from geoevs.protocol.provenance import check_answers
+    from geoevs.protocol.provenance import check_answers, check_renders
     from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
     from geoevs.protocol.scoring import cost_rows, score_method
     from geoevs.run import Answers
@@ -191,6 +191,7 @@ def score(
     settings = parse_json("--protocol", protocol)
     entry, answers = MethodEntry(method, variant, {}, seed), Answers(run, dataset, scene)
     check_answers(answers, run_seed, settings)
+    check_renders(answers, entry.label)
     fingerprint = protocol_fingerprint(answers.scene, settings)
     rows = score_method(entry, answers, settings["reference_keep"], fingerprint)
     write_parquet(out, score_frame(rows))

@@ -140,7 +140,8 @@ def run_isolated(
 def absolute_paths(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options whose relative paths are absolute: steps work in folders of their own.
 
-    A text is a path if it names a folder, or a file in one, from where the runner works.
+    A text is a path if it names a folder, or something in a folder that is there, from where the
+    runner works.
     """
     return {
         name: os.path.abspath(value) if isinstance(value, str) and _is_path(value) else value
@@ -150,7 +151,7 @@ def absolute_paths(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def _is_path(text: str) -> bool:
     try:
-        return os.path.isdir(text) or (os.sep in text and os.path.exists(text))
+        return os.path.isdir(text) or (os.sep in text and os.path.isdir(os.path.dirname(text)))
     except ValueError:  # a null character
         return False
 

@@ -9,6 +9,7 @@ from geoevs.core.files import read_json
 from geoevs.core.hashes import file_hash
 from geoevs.core.stamps import MADE_WITH, Stamp, check_stamp, settings_hash
 from geoevs.protocol.condition_masks import ConditionMasks
+from geoevs.protocol.entries import read_outcomes
 from geoevs.protocol.reference import References
 from geoevs.run import Answers
 from geoevs.scenes.store import Scene
@@ -54,11 +55,13 @@ def references_stamp(scene: Scene, targets: Path, seed: int) -> Stamp:
 
 
 def made_with(path: Path) -> Any:
-    """The stamp of a target list, or of a scene's scene.json; None without one."""
+    """The stamp of scene.json, of a target list, or of a fit's or a render's outcomes, if any."""
     found = read_json(path)
-    if isinstance(found, list):
-        found = found[0] if found else None
-    return found.get(MADE_WITH) if isinstance(found, dict) else None
+    if isinstance(found, dict) and MADE_WITH in found:
+        return found[MADE_WITH]
+    parts = found if isinstance(found, list) else getattr(found, "values", list)()
+    first = next(iter(parts), None)  # all have the same
+    return first.get(MADE_WITH) if isinstance(first, dict) else None
 
 
 def check_answers(answers: Answers, seed: int, settings: Mapping[str, Any] | None = None) -> None:
@@ -79,3 +82,24 @@ def check_answers(answers: Answers, seed: int, settings: Mapping[str, Any] | Non
     for pattern, kind in ((layout.REFERENCES, References), (layout.MASKS, ConditionMasks)):
         path = answers.path(pattern)
         check_stamp(path, kind(path).made_with, expected)
+
+
+def renders_stamp(answers: Answers) -> Stamp:
+    """What an entrant's renders were made with, whoever it is."""
+    return {
+        "scene": answers.scene.stamp,
+        "targets": file_hash(answers.path(layout.TARGETS)),
+        "masks": file_hash(answers.path(layout.MASKS)),
+    }
+
+
+def check_renders(answers: Answers, label: str) -> None:
+    """Check that an entrant was fitted to the scene, and rendered its targets with its masks.
+
+    Raises:
+        GeoEvsError: it was not; the sentence names the file.
+    """
+    expected = renders_stamp(answers)
+    path = answers.renders(label) / "render.json"
+    for outcome in read_outcomes(path).values():
+        check_stamp(path, outcome.get(MADE_WITH), expected)

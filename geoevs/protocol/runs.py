@@ -12,13 +12,16 @@ from typing import Any
 
 from geoevs.core.attempts import attempt_after
 from geoevs.core.files import new_folder, write_json
+from geoevs.core.hashes import file_hash
 from geoevs.core.isolate import MACHINE, MethodFailedError, Usage, absolute_paths, run_isolated
+from geoevs.core.stamps import MADE_WITH, settings_hash
 from geoevs.core.text import clean
 from geoevs.methods.contract import ORACLES, Budget
 from geoevs.protocol.entries import FAILED, FINE, MethodEntry, failed, read_outcomes
 from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import read_targets
+from geoevs.scenes.store import Scene
 
 # Named, not imported: no step's code counts for the others when the workflow hashes it.
 FIT_STEP = "geoevs.protocol.fit_step:fit_step"
@@ -55,6 +58,7 @@ def fit_method(
         GeoEvsError: the target list is damaged, or the folder cannot be written.
     """
     log.unlink(missing_ok=True)
+    made_with = {"scene": Scene(scene).stamp, "settings": fit_settings(entry)}
     with new_folder(folder) as partial:
         outcomes = {}
         for sources in _source_sets(targets):
@@ -81,6 +85,7 @@ def fit_method(
         for sources, outcome in outcomes.items():  # one fit may have removed another's model
             if outcome["status"] != FAILED and not (partial / sources / "model").is_dir():
                 outcome |= failed("fit", "the folder with the saved method was removed", log)
+            outcome[MADE_WITH] = made_with
         write_json(partial / "fit.json", outcomes)
 
 
@@ -114,6 +119,7 @@ def render_method(
     log.unlink(missing_ok=True)
     fits = read_outcomes(model / "fit.json")
     listed = read_targets(targets)
+    made_with = {"targets": file_hash(targets), "masks": file_hash(masks)}
     with new_folder(folder) as partial:
         outcomes = {}
         for sources, fit in fits.items():
@@ -134,10 +140,16 @@ def render_method(
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
             outcomes[sources] = {**fit, **rendered, **peak}
         for sources, outcome in outcomes.items():  # when nobody writes any more
+            outcome[MADE_WITH] = {**fits[sources].get(MADE_WITH, {}), **made_with}
             if outcome["status"] != FAILED:
                 views = [target for target in listed if target.sources == sources]
                 outcome[PICTURES] = seal_pictures(partial, views)
         write_json(partial / "render.json", outcomes)
+
+
+def fit_settings(entry: MethodEntry) -> str:
+    """Hash of what a config says of an entrant's fit."""
+    return settings_hash([entry.method, entry.options, entry.seed])
 
 
 def _attempt(

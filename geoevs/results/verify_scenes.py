@@ -16,7 +16,7 @@ from geoevs.core.names import inside
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, label_of, read_outcomes
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.pictures import PICTURES
-from geoevs.protocol.provenance import check_answers
+from geoevs.protocol.provenance import check_answers, check_renders
 from geoevs.protocol.rows import protocol_fingerprint
 from geoevs.protocol.scoring import THINNING, score_regions
 from geoevs.protocol.targets import Target
@@ -55,6 +55,10 @@ def check_scenes(record: Record, problems: list[str]) -> str:
         known = {(target.frame, target.camera.name) for target in targets}
         asked = {(target.frame, target.camera.name) for target in targets if not target.masked}
         for entrant, mine in rows.groupby(ENTRANT):
+            try:
+                check_renders(answers, label_of(*entrant))
+            except GeoEvsError as error:
+                problems.append(str(error))
             have = set(mine[VIEW].itertuples(index=False, name=None))
             for views, what in ((have - known, "no targets"), (asked - have, "targets without")):
                 if views:

@@ -12,11 +12,12 @@ import pytest
 from geoevs import PROTOCOL, layout
 from geoevs.core.files import read_json, write_image, write_json, write_text
 from geoevs.core.parquet import write_parquet
+from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import ORACLES
 from geoevs.protocol.entries import FINE, MethodEntry
 from geoevs.protocol.oracle import oracle_step
 from geoevs.protocol.pictures import PICTURES, seal_pictures
-from geoevs.protocol.provenance import references_stamp, targets_stamp
+from geoevs.protocol.provenance import references_stamp, renders_stamp, targets_stamp
 from geoevs.protocol.reference import write_references
 from geoevs.protocol.rows import cost_frame, protocol_fingerprint, score_frame
 from geoevs.protocol.scoring import cost_rows, score_method
@@ -58,7 +59,8 @@ def honest(run, tmp_path_factory):
         if name in ORACLES:
             for sources in kinds:
                 oracle_step(name, str(run), *PLACE.values(), sources, str(folder))
-        sealed = {**cost, PICTURES: seal_pictures(folder, targets)}
+        made_with = {MADE_WITH: renders_stamp(answers)}
+        sealed = {**cost, PICTURES: seal_pictures(folder, targets), **made_with}
         write_json(folder / "render.json", dict.fromkeys(kinds, sealed))
         scores += score_method(entry, answers, KEEPS, fingerprint)
         costs += cost_rows(entry, answers)

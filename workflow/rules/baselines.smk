@@ -4,6 +4,7 @@
 
 rule fit:
     input:
+        recorded(layout.MODEL, fit_made_with, "fit.json"),
         scene=in_run(layout.SCENE),
         targets=in_run(layout.TARGETS),
         trained=trained,

@@ -3,6 +3,7 @@ import json
 import shlex
 import sys
 from functools import cache
+from dataclasses import replace
 from pathlib import Path
 
 from geoevs import layout
@@ -23,6 +24,7 @@ from geoevs.methods.training import CombinedTraining
 from geoevs.methods.contract import ORACLES
 from geoevs.core.stamps import check_stamp
 from geoevs.protocol.provenance import made_with, scene_stamp, target_settings
+from geoevs.protocol.runs import fit_settings
 from geoevs.protocol.stability import (
     CLEAN,
     clean_settings,
@@ -218,6 +220,14 @@ def stability_targets_made_with(wildcards):
     """The same for target lists of the stability suite."""
     settings = clean_settings(config["stability"], wildcards.scene)
     return {"settings": target_settings(settings, 0)}
+
+
+def fit_made_with(wildcards):
+    """What the config says that an entrant is fitted with, besides a scene."""
+    options = json.loads(method_options(ENTRIES, wildcards))
+    return {
+        "settings": fit_settings(replace(ENTRIES[wildcards.label], options=options))
+    }
 
 
 def recorded(pattern, expected, file=""):
