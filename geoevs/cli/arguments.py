@@ -24,9 +24,19 @@ Costs = Annotated[Path, typer.Option(help="The run's costs.parquet.")]
 SetScores = Annotated[Path | None, typer.Option(help="The run's set-scores.parquet.")]
 TablesSection = Annotated[str, typer.Option(help="The config's tables section, as JSON.")]
 EntrantsFile = Annotated[Path, typer.Option(help="What `geoevs entrants` wrote: who plays.")]
-Limit = Annotated[
-    float | None, typer.Option(min=0, help="Seconds after which a step is ended; none: never.")
-]
+FitLimit, RenderLimit, TrainingLimit = (
+    Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            envvar=f"GEOEVS_{step}_LIMIT",
+            help=f"Seconds after which a {step.lower()} is ended; none: never.",
+        ),
+    ]
+    for step in ("FIT", "RENDER", "TRAINING")
+)
+"""The workflow sets the variables: another limit makes no job run again."""
+
 Attempt = Annotated[
     int, typer.Option(min=0, help="Which attempt this is; faults of the machine have a second.")
 ]

@@ -10,8 +10,9 @@ from geoevs.cli.arguments import (
     Attempt,
     Dataset,
     EntrantsFile,
-    Limit,
+    FitLimit,
     Out,
+    RenderLimit,
     Run,
     SceneFolder,
     SceneInRun,
@@ -77,8 +78,8 @@ def stability_render(
     options: Annotated[str, typer.Option(help="The method's own, as a JSON object.")] = "{}",
     variant: str = "default",
     seed: Seed = 0,
-    fit_limit: Limit = None,
-    render_limit: Limit = None,
+    fit_limit: FitLimit = None,
+    render_limit: RenderLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Fit and render a method under all stresses of a group; failures are written down."""

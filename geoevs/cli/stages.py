@@ -8,8 +8,9 @@ import typer
 from geoevs.cli.arguments import (
     Attempt,
     Dataset,
-    Limit,
+    FitLimit,
     Out,
+    RenderLimit,
     Run,
     SceneFolder,
     SceneInRun,
@@ -133,7 +134,7 @@ def fit(
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(min=1)] = 1,
     fit_seconds: Annotated[float | None, typer.Option(help="Wall time it should take.")] = None,
-    limit: Limit = None,
+    limit: FitLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Fit a method to a scene; a failure is written down, not raised."""
@@ -156,7 +157,7 @@ def render(
     run: OfOracles = "",
     dataset: OfOracles = "",
     scene: OfOracles = "",
-    limit: Limit = None,
+    limit: RenderLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Render a scene's targets with a fitted method; a failure is written down, not raised."""

@@ -7,11 +7,11 @@ import typer
 
 from geoevs.cli.arguments import (
     Attempt,
-    Limit,
     Out,
     Run,
     SceneFolder,
     Seed,
+    TrainingLimit,
     Work,
     parse_json,
     scene_pairs,
@@ -36,7 +36,7 @@ def prepare(
     mask_poses: Annotated[
         str, typer.Option(help="The config's conditions.masks section, as JSON.")
     ] = "{}",
-    limit: Limit = None,
+    limit: TrainingLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Make what a method's training learns from one scene."""
@@ -52,7 +52,7 @@ def combine(
     method: Method,
     out: Out,
     files: Annotated[list[Path] | None, typer.Argument(help="What `geoevs prepare` wrote.")] = None,
-    limit: Limit = None,
+    limit: TrainingLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Make one file of what was prepared of all scenes, such as the artifact-mask library."""
@@ -78,7 +78,7 @@ def train(
         Path | None, typer.Option(help="The folder of this suite's pretrained weights.")
     ] = None,
     seed: Seed = 0,
-    limit: Limit = None,
+    limit: TrainingLimit = None,
     attempt: Attempt = 0,
 ) -> None:
     """Train a method's networks.

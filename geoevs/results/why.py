@@ -10,7 +10,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.protocol.scoring import THINNING
 from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.results.settings import TableSettings
-from geoevs.results.table_specs import TABLES, TableSpec, bin_names, table_spec
+from geoevs.results.table_specs import DIGITS, TABLES, TableSpec, bin_names, table_spec
 from geoevs.results.tables import make_table
 from geoevs.results.why_lookup import (
     Cell,
@@ -128,6 +128,7 @@ def _of_bin(spec: TableSpec, label: str, settings: TableSettings) -> list[Term]:
     number = list(bin_names(spec, settings)).index(label)
     edges = getattr(settings, spec.edges)
     low, high = edges[number : number + 2]
-    below = "<=" if high == edges[-1] else "<"
-    place = [Term(spec.bins, ">=", low), Term(spec.bins, below, high)]
+    half = 0.5 * 10.0**-DIGITS  # tables round before they cut
+    top = high + half if high == edges[-1] else high - half
+    place = [Term(spec.bins, ">=", low - half), Term(spec.bins, "<", top)]
     return [*terms_of(split=list(spec.splits)), *place, *plain]

@@ -24,7 +24,7 @@ rule fit:
     shell:
         "geoevs --log {log[0]:q} fit {params.entry} {params.settings} --scene {input.scene:q}"
         " --targets {input.targets:q} --threads {threads} --method-log {log.method:q}"
-        " {LIMIT_OPTIONS[fit]} --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.attempt} --out {output:q}"
 
 
 rule render:
@@ -49,5 +49,5 @@ rule render:
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
         " --targets {input.targets:q} --masks {input.masks:q} {params.answers}"
-        " --method-log {log.method:q} {LIMIT_OPTIONS[render]} --attempt {params.attempt}"
+        " --method-log {log.method:q} --attempt {params.attempt}"
         " --out {output:q}"

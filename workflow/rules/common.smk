@@ -2,8 +2,8 @@
 import json
 import shlex
 import sys
-from functools import cache
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from geoevs import layout
@@ -63,9 +63,17 @@ except GeoEvsError as mistake:
 
 # `geoevs` is the one beside this Python, whether or not its environment is activated.
 # Numba and OpenCV do not heed what Snakemake sets for other libraries, and their idle threads spin.
+# Limits of seconds are no params: another one concerns only what ran into the one before, which
+# `attempt` sees.
+LIMITS = config["budget"]["limits"]
 shell.prefix(
     f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH;"
     " export NUMBA_NUM_THREADS=$OMP_NUM_THREADS OPENCV_FOR_THREADS_NUM=$OMP_NUM_THREADS; "
+    + "".join(
+        f"export GEOEVS_{step.upper()}_LIMIT={seconds}; "
+        for step, seconds in LIMITS.items()
+        if seconds is not None
+    )
 )
 
 RUN = f"results/{config['run']}"
@@ -275,15 +283,6 @@ def method_code(step):
         )
 
     return of
-
-
-# Seconds after which steps are ended, as options of commands. They are no params: another limit
-# concerns only what ran into the one before, which `attempt` sees.
-LIMITS = config["budget"]["limits"]
-LIMIT_OPTIONS = {
-    step: "" if seconds is None else f"--limit {seconds}"
-    for step, seconds in LIMITS.items()
-}
 
 
 def attempt(pattern, *outcomes):

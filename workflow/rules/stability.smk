@@ -66,7 +66,7 @@ rule stability_render:
     shell:
         "geoevs --log {log[0]:q} stability-render {input.scenes:q} {params.entry}"
         " --options {params.options:q} --targets {input.targets:q} --masks {input.masks:q}"
-        " --method-log {log.method:q} {STABILITY_LIMITS} --attempt {params.attempt}"
+        " --method-log {log.method:q} --attempt {params.attempt}"
         " --out {output:q}"
 
 

@@ -15,13 +15,6 @@ STABILITY_FILES = [
 ]
 STABILITY_CURVES = [name for name in STRESSORS if levels_of(name, STABILITY)]
 
-# Each stress has the limits of a fit and of a render.
-STABILITY_LIMITS = " ".join(
-    f"--{step}-limit {LIMITS[step]}"
-    for step in ("fit", "render")
-    if LIMITS[step] is not None
-)
-
 
 def given_scenes(wildcards):
     """The stores that methods are given under the stresses of a group, in their order."""

@@ -22,7 +22,7 @@ rule prepare:
         code=training_code("prepare"),
     shell:
         "geoevs --log {log:q} prepare {wildcards.trainer} --scene {input.scene:q} {params.inputs}"
-        " {LIMIT_OPTIONS[training]} --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.attempt} --out {output:q}"
 
 
 rule combine:
@@ -36,7 +36,7 @@ rule combine:
         attempt=attempt(layout.COMBINED),
         code=training_code("combine"),
     shell:
-        "geoevs --log {log:q} combine {wildcards.trainer} {input:q} {LIMIT_OPTIONS[training]}"
+        "geoevs --log {log:q} combine {wildcards.trainer} {input:q}"
         " --attempt {params.attempt} --out {output:q}"
 
 
@@ -62,7 +62,7 @@ rule train:
     shell:
         "geoevs --log {log:q} train {wildcards.trainer} {params.inputs}"
         " --settings {params.settings:q} --work {params.work:q} --seed {wildcards.seed}"
-        " {LIMIT_OPTIONS[training]} --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.attempt} --out {output:q}"
 
 
 rule mask_figure:
