@@ -1,5 +1,6 @@
 """Somebody else's images: scores a folder of PNGs, whatever made them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -24,6 +25,10 @@ class Method:
     info: ClassVar[MethodInfo] = MethodInfo("External images", paradigm="external")
     folder: str
     scene: str = field(init=False)
+
+    def files(self, scene: str) -> Iterable[Path]:
+        """The folder of a scene's images."""
+        return [expanded(self.folder) / scene]
 
     def fit(self, views: Views, budget: Budget, rng: Rng) -> FitReport:
         """Learn the scene's name, which is its folder's.

@@ -5,7 +5,7 @@ It sees a scene only through `Views`, which holds what the protocol allows and n
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self, runtime_checkable
@@ -196,6 +196,15 @@ class Adapter(Protocol):
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Restore what `save` wrote; it renders the same pixels."""
+        ...
+
+
+@runtime_checkable
+class ReadsFiles(Protocol):
+    """A method that reads files which no step makes, beside its weights."""
+
+    def files(self, scene: str) -> Iterable[Path]:
+        """The files and folders that are read for a scene: a change of them fits it again."""
         ...
 
 

@@ -1,10 +1,12 @@
 """What a training left behind, as methods that take its weights find it."""
 
+import math
 from pathlib import Path
 from typing import Any
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import link_file, read_json
+from geoevs.core.files import link_file, read_json, whole_file
+from geoevs.core.text import clean
 
 FAILURE_FILE = "failure.json"
 """The file that says why a training failed; it lies in place of the networks."""
@@ -30,8 +32,13 @@ def read_trained(folder: Path) -> dict[str, Any]:
     """
     failure = folder / FAILURE_FILE
     if failure.exists():
-        raise GeoEvsError(f"its training failed: {read_json(failure)['reason']}")
-    return read_json(folder / "settings.json")
+        with whole_file(failure):
+            reason = clean(str(read_json(failure)["reason"]))
+        raise GeoEvsError(f"its training failed: {reason}")
+    settings = read_json(folder / "settings.json")
+    if not isinstance(settings, dict):
+        raise GeoEvsError(f"{folder / 'settings.json'} holds no settings; train again")
+    return settings
 
 
 def seconds_file(networks: Path) -> Path:
@@ -45,7 +52,10 @@ def seconds_file(networks: Path) -> Path:
 def trained_seconds(networks: Path) -> float | None:
     """Wall seconds of all trainings that made networks; None where nothing says so."""
     path = seconds_file(networks)
-    return sum(read_json(path).values()) if path.exists() else None
+    if not path.exists():
+        return None
+    with whole_file(path):
+        return math.fsum(read_json(path).values())
 
 
 def link_trained(folder: Path, copy: Path) -> None:

@@ -21,6 +21,9 @@ FINE = {"status": OK, "stage": "", "reason": "", "log": ""}
 OUTCOME = {*FINE, "threads", "peak_memory", "gpu_memory"}
 """Keys that `fit.json` and `render.json` have for every set of sources, besides costs."""
 
+NUMBERS = ("threads", "peak_memory", "gpu_memory", "bytes", "primitives", "parameters", "attempt")
+"""Keys of an outcome that count something, besides those that end in `_seconds`."""
+
 
 @dataclass(frozen=True)
 class MethodEntry:
@@ -91,11 +94,23 @@ def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:
         GeoEvsError: the file is missing or of another shape.
     """
     outcomes = read_json(path)
-    described = isinstance(outcomes, dict) and all(
-        isinstance(outcome, dict) and outcome.keys() >= OUTCOME for outcome in outcomes.values()
-    )
-    if not described:
+    if not isinstance(outcomes, dict) or not all(map(_is_outcome, outcomes.values())):
         raise GeoEvsError(
             f"{path} does not say how each set of sources ended; delete its folder and rerun"
         )
     return outcomes
+
+
+def _is_outcome(outcome: Any) -> bool:
+    if not isinstance(outcome, dict) or not outcome.keys() >= OUTCOME:
+        return False
+    texts = [outcome[name] for name in FINE] + [outcome.get("note", "")]
+    numbers = [
+        value for name, value in outcome.items() if name in NUMBERS or name.endswith("_seconds")
+    ]
+    return (
+        all(isinstance(text, str) for text in texts)
+        and outcome["status"] in (OK, FAILED)
+        and all(value is None or type(value) in (int, float) for value in numbers)
+        and all(value is None or 0 <= value < 2**63 for value in numbers)
+    )

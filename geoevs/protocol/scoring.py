@@ -122,9 +122,9 @@ def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
     return [
         {
             **blank,
+            **outcome,
             **answers.place,
             **identity,
-            **outcome,
             "sources": sources,
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }

@@ -11,7 +11,7 @@ from baselines.controls.reproject_inpaint.adapter import fill_holes
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, to_float, to_uint8, write_image, write_json
 from geoevs.core.randomness import Rng
-from geoevs.methods.contract import Budget, Views
+from geoevs.methods.contract import Budget, ReadsFiles, Views
 from geoevs.methods.finding import make_method
 from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, tiny_truth, write_tiny_scene
 
@@ -198,6 +198,13 @@ def test_external_reads_the_targets_png(scene, tmp_path):
         method.render(between(), 0)
     with pytest.raises(GeoEvsError, match=r"000001\.png is 48 x 72 but its target is 24 x 36"):
         method.render(between().resized(24, 36), 1)
+
+
+def test_external_names_what_it_reads(tmp_path):
+    method = make_method("external", {"folder": str(tmp_path)})
+    assert isinstance(method, ReadsFiles)
+    assert list(method.files("tiny")) == [tmp_path / "tiny"]
+    assert not isinstance(make_method("mean-colour", {}), ReadsFiles)
 
 
 def test_external_reads_nothing_outside_its_folder(scene, tmp_path):

@@ -19,6 +19,7 @@ rule fit:
     params:
         entry=entry_arguments,
         settings=fit_arguments,
+        outside=lambda wildcards: outside_files(**wildcards),
         attempt=attempt(layout.MODEL, "fit.json"),
         code=method_code("fit"),
     shell:
@@ -44,6 +45,7 @@ rule render:
     params:
         method=lambda wildcards: ENTRIES[wildcards.label].method,
         answers=oracle_arguments,
+        outside=lambda wildcards: outside_files(**wildcards),
         attempt=attempt(layout.RENDERS, "render.json"),
         code=method_code("render"),
     shell:

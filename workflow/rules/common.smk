@@ -19,9 +19,14 @@ from geoevs.core.hashes import outside_hash
 from geoevs.core.locks import lock_folder
 from geoevs.core.names import expanded
 from geoevs.core.settings import make_settings
-from geoevs.methods.finding import find_methods, find_trainings, training_class
+from geoevs.methods.finding import (
+    find_methods,
+    find_trainings,
+    make_method,
+    training_class,
+)
 from geoevs.methods.training import CombinedTraining
-from geoevs.methods.contract import ORACLES
+from geoevs.methods.contract import ORACLES, ReadsFiles
 from geoevs.core.stamps import check_stamp
 from geoevs.protocol.provenance import made_with, scene_stamp, target_settings
 from geoevs.protocol.runs import fit_settings
@@ -318,6 +323,22 @@ def entrant_code(wildcards):
     methods = {entry.method for entry in ENTRIES.values()} - set(ORACLES)
     modules = [find_methods()[method] for method in sorted(methods)]
     return code_hash("geoevs.protocol.entrants", *modules)
+
+
+@cache
+def outside_files(label, dataset, scene):
+    """Hash of the files that no step makes and that an entrant reads for a scene."""
+    entry = ENTRIES[label]
+    if entry.method in ORACLES:
+        return "none"
+    try:
+        method = make_method(entry.method, entry.options)
+    except Exception:  # as with an option that its training gives
+        return "none"
+    if not isinstance(method, ReadsFiles):
+        return "none"
+    name, _ = world_options(scene)
+    return outside_hash(method.files(SceneRef.parse(name).name))
 
 
 def fit_arguments(wildcards):
