@@ -10,7 +10,6 @@ import torch
 from baselines.gaussians.constants import NEAR_PLANE
 from baselines.gaussians.model import gaussians_from_points
 from baselines.gaussians.nodes import FOURIER, Actor
-from geoevs.core.errors import GeoEvsError
 from geoevs.methods.contract import Views
 from geoevs.projection import project_points
 from geoevs.scenes.boxes import Box, moving_boxes
@@ -66,11 +65,7 @@ class Track:
 
 
 def moving_tracks(views: Views) -> list[Track]:
-    """A track for everything that moves, by name, with its boxes in the views' frames.
-
-    Raises:
-        GeoEvsError: a box has no size, or one that is not finite.
-    """
+    """A track for everything that moves, by name, with its boxes in the views' frames."""
     found: dict[str, list[Box]] = {}
     for box in moving_boxes(views.tracks, views.frames):
         found.setdefault(str(box.track), []).append(box)
@@ -82,13 +77,6 @@ def _track(name: str, found: Sequence[Box]) -> Track:
     for box in sorted(found, key=lambda box: box.frame):
         boxes.setdefault(int(box.frame), box)
     sizes = np.array([[box.length, box.width, box.height] for box in boxes.values()], np.float64)
-    places = np.array([[box.x, box.y, box.z, box.yaw] for box in boxes.values()], np.float64)
-    bad = ~((sizes > 0) & np.isfinite(sizes)).all(axis=1) | ~np.isfinite(places).all(axis=1)
-    if bad.any():
-        raise GeoEvsError(
-            f"the box of track '{name}' in frame {list(boxes)[bad.argmax()]} has no size or no "
-            "place; correct it in the scene's tracks, or mark the track as not moving"
-        )
     length, width, height = sizes.max(axis=0).tolist()
     return Track(
         name,

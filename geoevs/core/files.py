@@ -40,6 +40,11 @@ ADVICE = {
 }
 """What to do about an error of the system's; for all others, see `_explain_write_failure`."""
 
+
+class FolderRemovedError(GeoEvsError):
+    """A folder was removed while it was being filled."""
+
+
 _UMASK = os.umask(0)
 os.umask(_UMASK)
 
@@ -121,8 +126,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     An existing folder at `path` is replaced only then, and stays whole until then.
 
     Raises:
-        GeoEvsError: the disk is full, the place is read-only, or somebody removed the temporary
-            folder meanwhile, so that what it holds is not whole.
+        FolderRemovedError: somebody removed the temporary folder meanwhile, so that what it holds
+            is not whole.
+        GeoEvsError: the disk is full, or the place is read-only.
     """
     path = _real(path)
     with ExitStack() as stack:
@@ -131,7 +137,7 @@ def new_folder(path: Path) -> Iterator[Path]:
             made = temporary.stat()
         yield temporary
         if not (temporary.exists() and os.path.samestat(temporary.stat(), made)):
-            raise GeoEvsError(
+            raise FolderRemovedError(
                 f"the folder that was to become {path} was removed while it was filled; do not "
                 "clear a run's folder while it runs, and start it again"
             )

@@ -32,7 +32,7 @@ from geoevs.core.text import clean
 LOG_BYTES = 20_000_000
 """Most bytes of a log."""
 
-LATE = 4.0
+LATE = 2.0
 """Seconds past its limit after which a supervisor that does not answer is given up."""
 
 MACHINE, TIMEOUT = "machine", "timeout"

@@ -6,12 +6,14 @@ what it cost or at which stage and why it failed.
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from geoevs.core.attempts import attempt_after
-from geoevs.core.files import new_folder, write_json
+from geoevs.core.files import FolderRemovedError, new_folder, write_json
 from geoevs.core.hashes import file_hash
 from geoevs.core.isolate import MACHINE, MethodFailedError, Usage, absolute_paths, run_isolated
 from geoevs.core.stamps import MADE_WITH, settings_hash
@@ -59,8 +61,8 @@ def fit_method(
     """
     log.unlink(missing_ok=True)
     made_with = {"scene": Scene(scene).stamp, "settings": fit_settings(entry)}
-    with new_folder(folder) as partial:
-        outcomes = {}
+    outcomes: dict[str, dict[str, Any]] = {}
+    with _folder_of("fit", folder, outcomes, log) as partial:
         for sources in _source_sets(targets):
             model = partial / sources / "model"
             model.mkdir(parents=True)
@@ -86,7 +88,6 @@ def fit_method(
             if outcome["status"] != FAILED and not (partial / sources / "model").is_dir():
                 outcome |= failed("fit", "the folder with the saved method was removed", log)
             outcome[MADE_WITH] = made_with
-        write_json(partial / "fit.json", outcomes)
 
 
 def render_method(
@@ -120,8 +121,8 @@ def render_method(
     fits = read_outcomes(model / "fit.json")
     listed = read_targets(targets)
     made_with = {"targets": file_hash(targets), "masks": file_hash(masks)}
-    with new_folder(folder) as partial:
-        outcomes = {}
+    outcomes: dict[str, dict[str, Any]] = {}
+    with _folder_of("render", folder, outcomes, log) as partial:
         for sources, fit in fits.items():
             fit = {key: value for key, value in fit.items() if key != "limit"}
             if fit["status"] == FAILED:
@@ -144,7 +145,24 @@ def render_method(
             if outcome["status"] != FAILED:
                 views = [target for target in listed if target.sources == sources]
                 outcome[PICTURES] = seal_pictures(partial, views)
-        write_json(partial / "render.json", outcomes)
+
+
+@contextmanager
+def _folder_of(
+    stage: str, folder: Path, outcomes: dict[str, dict[str, Any]], log: Path
+) -> Iterator[Path]:
+    """The folder that a stage fills, with its outcomes in it; a method may have removed it."""
+    file = f"{stage}.json"
+    try:
+        with new_folder(folder) as partial:
+            yield partial
+            write_json(partial / file, outcomes)
+    except FolderRemovedError:
+        for outcome in outcomes.values():
+            if outcome["status"] != FAILED:
+                outcome |= failed(stage, "the folder that it was given was removed", log)
+        with new_folder(folder) as partial:
+            write_json(partial / file, outcomes)
 
 
 def fit_settings(entry: MethodEntry) -> str:

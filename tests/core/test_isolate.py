@@ -240,7 +240,8 @@ def test_what_a_runner_started_ends_with_it(isolated, tmp_path, number):
     pids = tmp_path / "pids"
     call = {"how": "sleep", "pids": str(pids)}
     code = (
-        "from pathlib import Path; from geoevs.core.isolate import run_isolated\n"
+        "import signal; from pathlib import Path; from geoevs.core.isolate import run_isolated\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's & ignores it
         f"run_isolated('child_steps:hang', {call!r}, 1, Path({str(tmp_path / 'log')!r}))"
     )
     runner = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)

@@ -320,7 +320,7 @@ def test_training_starts_from_the_named_prior(pairs, library, weights, tmp_path)
         ({"weighting": "suport"}, r"'suport' for its option 'weighting'; did you mean 'support'\?"),
         ({"timesteps": "sample"}, r"'sample' for its option 'timesteps'; did you mean 'sampled'\?"),
         ({"masks": "box"}, r"'box' for its option 'masks'; did you mean 'boxes'\?"),
-        ({"probability": float("nan")}, r"nan for its option 'probability'; write a number"),
+        ({"probability": float("nan")}, r"nan for its option 'probability'; write a finite number"),
     ],
 )
 def test_wrong_settings_are_one_sentence(changed, sentence):

@@ -160,8 +160,9 @@ def places(run):
     points = speed_accuracy("extrapolation", *run, SETTINGS, ENTRANTS).set_index("method")
     ranked = points[points["lacking"] == 0]["mean"].rank(ascending=False)
     fronts = points[[f"{cost}_frontier" for cost in COSTS]]
+    nowhere = (False,) * len(COSTS)
     return {name: ranked.get(name, 99) for name in NAMES}, {
-        name: tuple(fronts.loc[name]) if name in fronts.index else (False,) * 4 for name in NAMES
+        name: tuple(fronts.loc[name]) if name in fronts.index else nowhere for name in NAMES
     }
 
 

@@ -21,7 +21,7 @@ geometry: {model: lidar, finetune: null}
 trainings:
   mine:
     steps: 20
-    variants: {quick: {steps: 10}, broken: {learning_rate: 1.0e+30}}
+    variants: {quick: {steps: 10}, broken: {learning_rate: 1.0e+14}}
 protocol: {pose_sweep: {angles: []}}
 tables: {ablation: mine}
 stability: {datasets: []}

@@ -115,14 +115,14 @@ def in_run(pattern):
 
 
 # Folder of this suite's own starting weights.
-WEIGHTS = str(expanded(config["weights"]))
+WEIGHTS_FOLDER = str(expanded(config["weights"]))
 # The files with the depth network's weights before and after fine-tuning; one or none.
 GEOMETRY = config["geometry"]
 PRETRAINED = []
 FINETUNED = []
 if GEOMETRY["model"] != "lidar":
     PRETRAINED = [
-        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS}/{SUITE_MODEL}.safetensors"))
+        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS_FOLDER}/{SUITE_MODEL}.safetensors"))
     ]
     FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
 
@@ -365,7 +365,7 @@ def trained(wildcards):
 
 
 # What trainings start from, which are no output that tables need.
-PRIOR_FILES = [f"{WEIGHTS}/{name}.safetensors" for name in ("autoencoder", "prior")]
+PRIOR_FILES = [f"{WEIGHTS_FOLDER}/{name}.safetensors" for name in ("autoencoder", "prior")]
 
 
 def prior_hash(name):

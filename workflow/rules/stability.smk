@@ -20,7 +20,7 @@ rule stability_targets:
     log:
         in_run("logs/targets/{dataset}/{scene}.log"),
     wildcard_constraints:
-        dataset="|".join(STABILITY["datasets"]),
+        dataset="|".join(STABILITY["datasets"]) or "(?!)",  # none: nothing matches
     params:
         settings=lambda wildcards: json.dumps(
             clean_settings(STABILITY, wildcards.scene)

@@ -71,7 +71,7 @@ def train_arguments(wildcards, input):
             with_option("--files", input.prepared),
             with_option("--combined", input.combined),
             *if_read("geometry", geometry)(wildcards),
-            *if_read("prior", [with_option("--weights", [WEIGHTS])])(wildcards),
+            *if_read("prior", [with_option("--weights", [WEIGHTS_FOLDER])])(wildcards),
         ]
     )
 

@@ -76,12 +76,6 @@ def test_the_road_is_left_and_the_car_taken_from_the_background(moving):
     assert not ((xyz > low) & (xyz < high)).all(axis=1).any()
 
 
-@pytest.mark.parametrize("size", [(0.0, 2.0, 1.4), (np.nan, 2.0, 1.4)])
-def test_a_box_without_size_is_named(write_room, boxes, size):
-    with pytest.raises(GeoEvsError, match="box of track 'car-0' in frame 0 has no size"):
-        fit(write_room(boxes(size=size)))
-
-
 def test_without_lidar_it_starts_elsewhere(write_room, boxes):
     method, report = fit(write_room(boxes(), lidar=False))
     assert "0 LiDAR points, too few" in report.note
