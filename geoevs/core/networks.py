@@ -110,8 +110,8 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
         advice: what to do about a mistake, the end of its sentence.
 
     Raises:
-        GeoEvsError: a weight is missing, unknown, of another shape or not finite; the first one
-            is named.
+        GeoEvsError: a weight is missing, unknown, of another shape or type, or not finite; the
+            first one is named.
     """
     state = model.state_dict()
     for name, value in state.items():
@@ -121,6 +121,11 @@ def load_weights(model: nn.Module, weights: dict[str, Tensor], path: Path, advic
             raise GeoEvsError(
                 f"{path} has '{name}' of shape {tuple(weights[name].shape)} where this network's "
                 f"is {tuple(value.shape)}; {advice}"
+            )
+        if weights[name].is_floating_point() != value.is_floating_point():
+            raise GeoEvsError(
+                f"{path} has '{name}' of type {weights[name].dtype} where this network's is "
+                f"{value.dtype}; {advice}"
             )
         if not torch.isfinite(weights[name]).all():
             raise GeoEvsError(f"{path} has '{name}' with NaN or infinite weights; {advice}")

@@ -105,12 +105,14 @@ def _is_outcome(outcome: Any) -> bool:
     if not isinstance(outcome, dict) or not outcome.keys() >= OUTCOME:
         return False
     texts = [outcome[name] for name in FINE] + [outcome.get("note", "")]
-    numbers = [
-        value for name, value in outcome.items() if name in NUMBERS or name.endswith("_seconds")
-    ]
+    counts = [outcome[name] for name in NUMBERS if name in outcome]
+    seconds = [value for name, value in outcome.items() if name.endswith("_seconds")]
     return (
         all(isinstance(text, str) for text in texts)
         and outcome["status"] in (OK, FAILED)
-        and all(value is None or type(value) in (int, float) for value in numbers)
-        and all(value is None or 0 <= value < 2**63 for value in numbers)
+        and all(type(count) is int and 0 <= count < 2**63 for count in counts)
+        and all(
+            value is None or (type(value) in (int, float) and 0 <= value < 2**63)
+            for value in seconds
+        )
     )

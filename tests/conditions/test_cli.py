@@ -60,7 +60,7 @@ def test_a_library_of_nothing_is_one_sentence(geoevs, tmp_path):
     sentence = "holds no masks; name training scenes under partitions.train of a data set"
     assert errors == f"error: combining: the mask library {sentence}\n"
     failure = read_json(tmp_path / "library.npz")  # which trainings are told in its place
-    assert failure["reason"] == f"combining: the mask library {sentence}"
+    assert failure["failure"] == f"the mask library {sentence} (while combining)"
 
 
 def test_help_needs_no_torch():

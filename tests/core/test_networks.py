@@ -148,3 +148,12 @@ def test_weights_that_are_not_finite_are_refused(saved):
     _, weights = read_network(saved)
     weights["0.bias"][0] = torch.nan
     assert "'0.bias' with NaN or infinite weights; name another" in refused(weights, saved)
+
+
+@pytest.mark.parametrize("kind", [torch.int32, torch.complex64, torch.bool])
+def test_weights_of_another_type_are_refused(saved, kind):
+    _, weights = read_network(saved)
+    weights["0.bias"] = weights["0.bias"].to(kind)
+    assert f"'0.bias' of type {kind} where this network's is torch.float32" in refused(
+        weights, saved
+    )
