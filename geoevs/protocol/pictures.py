@@ -1,6 +1,5 @@
 """What a method rendered, sealed when its step ended, and looked at again when it is scored."""
 
-import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, to_float
+from geoevs.core.hashes import file_hash
 from geoevs.protocol.entries import FAILED, failed
 from geoevs.protocol.targets import Target
 
@@ -69,7 +69,4 @@ def read_view(
 
 def _hash(path: Path) -> str:
     """Of a regular file; nothing if there is none."""
-    if path.is_symlink() or not path.is_file():
-        return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_hash(path) if path.is_file() and not path.is_symlink() else ""

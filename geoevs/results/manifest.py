@@ -16,6 +16,7 @@ import pandas as pd
 from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, whole_file, write_bytes, write_json
+from geoevs.core.hashes import file_hash
 
 PACKAGES = (
     "geoevs",
@@ -176,10 +177,7 @@ def hash_path(path: Path) -> str:
         files = sorted(file for file in path.rglob("*") if file.is_file())
         listed = [[file.relative_to(path).as_posix(), hash_path(file)] for file in files]
         return hashlib.sha256(json.dumps(listed).encode()).hexdigest()
-    if not path.is_file():
-        raise GeoEvsError(f"{path} is missing; make it before the manifest")
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_hash(path)
 
 
 def cached_repository(name: str) -> str:

@@ -89,7 +89,7 @@ def test_where_a_folder_lies_does_not_count(folder):
 
 
 def test_a_missing_input_is_named(tmp_path):
-    with pytest.raises(GeoEvsError, match=r"gone is missing; make it before the manifest$"):
+    with pytest.raises(GeoEvsError, match=r"gone is missing; make or copy it there$"):
         make_manifest(CONFIG, [tmp_path / "gone"])
 
 

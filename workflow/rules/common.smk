@@ -122,7 +122,11 @@ PRETRAINED = []
 FINETUNED = []
 if GEOMETRY["model"] != "lidar":
     PRETRAINED = [
-        str(expanded(GEOMETRY["weights"] or f"{WEIGHTS_FOLDER}/{SUITE_MODEL}.safetensors"))
+        str(
+            expanded(
+                GEOMETRY["weights"] or f"{WEIGHTS_FOLDER}/{SUITE_MODEL}.safetensors"
+            )
+        )
     ]
     FINETUNED = [in_run(layout.FINETUNED)] if GEOMETRY["finetune"] else []
 
@@ -365,7 +369,9 @@ def trained(wildcards):
 
 
 # What trainings start from, which are no output that tables need.
-PRIOR_FILES = [f"{WEIGHTS_FOLDER}/{name}.safetensors" for name in ("autoencoder", "prior")]
+PRIOR_FILES = [
+    f"{WEIGHTS_FOLDER}/{name}.safetensors" for name in ("autoencoder", "prior")
+]
 
 
 def prior_hash(name):
