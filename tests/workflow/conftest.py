@@ -18,8 +18,16 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
-    RESUMED = ("tables", "breakdowns", "conditions")
-    EVERYTHING = (*RESUMED, "stability", "audit")
+    EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit")
+    RESUMED = (
+        "conditions",
+        "results/smoke/depth-scores.parquet",
+        *(
+            f"results/smoke/parts/street/junction-201/{label}.scores.parquet"
+            for label in ("mean-colour", "geo-evs", "external")
+        ),
+    )
+    """What is killed and resumed: a control, a training, a failure, and what they need."""
     SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:
