@@ -13,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 import psutil
 import pytest
+from hypothesis import settings
 
 import baselines
 from geoevs import layout
@@ -263,7 +264,11 @@ def survivors(root: Path) -> list[psutil.Process]:
     return found
 
 
-@pytest.mark.parametrize("name", METHODS)
+# A third of them, unless all are asked for: `pytest --hypothesis-profile long` with this file.
+EVERY = 1 if settings.get_current_profile_name() == "long" else 3
+
+
+@pytest.mark.parametrize("name", list(METHODS)[::EVERY])
 def test_a_method_that_misbehaves_is_rows_of_its_own(tried, name):
     place, lines, ending, reason = METHODS[name]
     before = psutil.Process().children(recursive=True)

@@ -335,7 +335,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     expected = files(finished.folder / "results/smoke")
     found = files(workspace.folder / "results/smoke")
     assert found.keys() <= expected.keys()
-    assert len(found) > 60
+    assert len(found) > 20
     assert [name for name in found if found[name] != expected[name]] == []
     once, again = (
         pd.read_parquet(place.folder / "results/smoke/depth-scores.parquet")

@@ -101,7 +101,7 @@ rule install_weights:
             f"--work '{training}={pretraining_work(training)}'"
             for training in config["pretrain"]
         ),
-        weights=WEIGHTS,
+        weights=WEIGHTS_FOLDER,
         config=json.dumps(config),
         code=code_hash("geoevs.results.manifest"),
     shell:
