@@ -1,6 +1,7 @@
 """What tests of several packages share."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -203,3 +204,22 @@ def library():
     labels = {"scene": np.full(3, "s"), "frame": np.arange(3)}
     labels |= {name: np.zeros(3) for name in ("yaw", "lateral")}
     return MaskLibrary(HEIGHT, WIDTH, pack_masks(masks), **labels, support=masks.mean(axis=(1, 2)))
+
+
+@pytest.fixture
+def geoevs(monkeypatch, capsys):
+    """Runs the command in this process; gives exit code, standard output and standard error."""
+    from geoevs.cli import main as cli
+
+    def run(*arguments: object):
+        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
+        monkeypatch.setattr(cli, "_log", None)
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run

@@ -11,24 +11,6 @@ from geoevs.core.parquet import write_parquet
 from geoevs.methods.tiny import write_tiny_scene
 
 
-@pytest.fixture
-def geoevs(monkeypatch, capsys):
-    """Runs the command in this process; gives exit code, standard output and standard error."""
-
-    def run(*arguments: object):
-        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
-        monkeypatch.setattr(cli, "_log", None)
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
 def test_without_arguments_it_shows_its_commands():
     command = [sys.executable, "-m", "geoevs.cli.main"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)

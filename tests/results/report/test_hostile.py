@@ -4,13 +4,11 @@ import json
 import os
 import re
 import shutil
-import sys
 
 import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.cli import main as cli
 from geoevs.core import parquet
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, write_json, write_text
@@ -41,21 +39,6 @@ def folder(reported, tmp_path, monkeypatch):
     """A copy of a whole run, and the folder above it, which nothing may write to."""
     monkeypatch.chdir(tmp_path)
     return shutil.copytree(reported[0], tmp_path / "run")
-
-
-@pytest.fixture
-def geoevs(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
-        monkeypatch.setattr(cli, "_log", None)
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def edit(folder, name, **columns):
