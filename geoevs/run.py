@@ -84,12 +84,10 @@ class Answers:
 
     def truth(self, target: Target) -> np.ndarray | None:
         """(H, W, 3) float32 in [0, 1]: true pixels of a target; None where nobody knows them."""
-        target = target.unmasked
-        if target.split == "observed":
-            return self.scene.image(target.camera.name, target.frame)
-        if target.split == "interpolation":
-            return self.scene.image(self.scene.info.rig.front, target.frame)
-        path = self._truth_file(target, "png")
+        camera = self.recorded_by(target)
+        if camera is not None:
+            return self.scene.image(camera, target.frame)
+        path = self._truth_file(target.unmasked, "png")
         return to_float(read_image(path)) if path.exists() else None
 
     def depth(self, target: Target) -> np.ndarray | None:
@@ -118,5 +116,20 @@ class Answers:
         """
         reference, truth = self.reference(target), self.truth(target)
         if target.masked:
-            return masked_regions(self.mask(target), reference, truth, keep)
-        return regions(reference, truth, keep)
+            found = masked_regions(self.mask(target), reference, truth, keep)
+        else:
+            found = regions(reference, truth, keep)
+        ego = self.ego_mask(target)
+        return found if ego is None else {name: one.without(ego) for name, one in found.items()}
+
+    def ego_mask(self, target: Target) -> np.ndarray | None:
+        """(H, W) bool: pixels where a recorded target shows the car that carries its camera."""
+        camera = self.recorded_by(target)
+        return None if camera is None else self.scene.ego_masks.get(camera)
+
+    def recorded_by(self, target: Target) -> str | None:
+        """The camera that recorded a target; None of a virtual one."""
+        split = target.unmasked.split
+        if split == "interpolation":
+            return self.scene.info.rig.front
+        return target.unmasked.camera.name if split == "observed" else None

@@ -108,7 +108,10 @@ class NetworkDepth(ABC):
                 sure = None if confidence is None else confidence[number]
                 fitted = fit_scale(depth[number], sure, measured[number], camera, factor)
                 depth[number] = self.refined(images[number], fitted, points, camera)
-        return dict(zip(views.cameras, depth, strict=True))
+        return {
+            name: views.without_ego(name, one)
+            for name, one in zip(views.cameras, depth, strict=True)
+        }
 
     def refined(
         self,

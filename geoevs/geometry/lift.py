@@ -74,6 +74,8 @@ def lidar_depths(views: Views, frame: int) -> dict[str, np.ndarray]:
     """(H, W) depth of every source view of a frame, completed from the LiDAR methods may use."""
     points = views.lidar(frame).xyz
     return {
-        name: complete_depth(points, views.camera(name, frame), views.image(name, frame))
+        name: views.without_ego(
+            name, complete_depth(points, views.camera(name, frame), views.image(name, frame))
+        )
         for name in views.cameras
     }

@@ -17,7 +17,7 @@ from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.randomness import Rng
 from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import Frame, PointCloud, Rig
+from geoevs.scenes.scene import Frame, PointCloud, Rig, SceneExtras
 from geoevs.scenes.store import Scene, write_scene
 
 ORACLES = ("reference", "truth")
@@ -132,7 +132,16 @@ class Views:
             return points
         cameras = {name: self.camera(name, frame) for name in self.cameras}
         images = {name: self.image(name, frame) for name in self.cameras}
-        return colour_points(points, cameras, images)
+        return colour_points(points, cameras, images, self._scene.ego_masks)
+
+    def without_ego(self, name: str, depth: np.ndarray) -> np.ndarray:
+        """(H, W) metres: a source camera's depth, none where it sees the car that carries it.
+
+        What has no depth is lifted nowhere, so that no condition shows the car.
+        """
+        self._allow(name)
+        mask = self._scene.ego_masks.get(name)
+        return depth if mask is None else np.where(mask, np.zeros_like(depth), depth)
 
     @property
     def tracks(self) -> pd.DataFrame:
@@ -145,7 +154,9 @@ class Views:
         info = dataclasses.replace(self._scene.info, cameras=self.cameras)
         frames = (self._frame(frame) for frame in self.frames)
         tracks = self._scene.tracks
-        write_scene(folder, info, tracks if self.has("tracks") else tracks[:0], frames)
+        masks = self._scene.ego_masks
+        extras = SceneExtras({name: masks[name] for name in self.cameras if name in masks})
+        write_scene(folder, info, tracks if self.has("tracks") else tracks[:0], frames, extras)
 
     @classmethod
     def load(cls, folder: Path) -> Self:

@@ -36,7 +36,7 @@ def write_coloured_scene(
     """
 
     def coloured_frame(frame: Frame) -> Frame:
-        coloured = colour_frame(frame)
+        coloured = colour_frame(frame, record.extras.ego_masks)
         where = f"frame {frame.frame} of scene '{record.info.name}'"
         check_sensors(record.info.rig, coloured.points, where)
         return coloured
@@ -45,4 +45,4 @@ def write_coloured_scene(
         coloured = (coloured_frame(frame) for frame in counted(record.frames, advance))
         frames = (write_depths(partial, frame) for frame in coloured)
         info = replace(record.info, made_with=made_with)
-        write_scene(folder, info, record.tracks, frames)
+        write_scene(folder, info, record.tracks, frames, record.extras)

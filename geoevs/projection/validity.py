@@ -10,6 +10,8 @@ no gradient. All paths, on any device, agree bit for bit.
 
 import dataclasses
 import sys
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import cv2
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 Array = TypeVar("Array", np.ndarray, "torch.Tensor")
 
 VISIBILITIES = ("pixel", "footprint")
+NOTHING_HIDDEN: Mapping[str, np.ndarray] = MappingProxyType({})
 
 # A sparse z-buffer lets background leak between foreground points. At the paper's support ratios
 # (0.02 to 0.1) points lie 3 to 7 pixels apart, so a 5 x 5 window around a leak holds foreground.
@@ -241,6 +244,7 @@ def colour_points(
     cloud: PointCloud,
     cameras: dict[str, Camera],
     images: dict[str, np.ndarray],  # each [H, W, 3]
+    hidden: Mapping[str, np.ndarray] = NOTHING_HIDDEN,  # each [H, W] bool
 ) -> PointCloud:
     """Give LiDAR points the colours of the images they are valid in (section 3.5).
 
@@ -251,6 +255,7 @@ def colour_points(
         cloud: the points; colours that it has are discarded.
         cameras: by name; the result's `camera` counts them in this order.
         images: (H, W, 3) by the same names, uint8 or float in [0, 1].
+        hidden: pixels that colour nothing, such as those of the car that carries the camera.
 
     Returns:
         The same points with `rgb` and `camera` set.
@@ -274,6 +279,10 @@ def colour_points(
                 "or resize them together"
             )
         candidates = np.flatnonzero(visible(cloud.xyz, camera))
+        if name in hidden:
+            uv, _ = project_points(cloud.xyz[candidates], camera)
+            column, row = uv.astype(np.int64).T
+            candidates = candidates[~hidden[name][row, column]]
         slope = _squared_slope(cloud.xyz[candidates], camera)
         nearer = slope < least[candidates]
         winners = candidates[nearer]
@@ -284,9 +293,9 @@ def colour_points(
     return dataclasses.replace(cloud, rgb=rgb, camera=chosen)
 
 
-def colour_frame(frame: Frame) -> Frame:
+def colour_frame(frame: Frame, hidden: Mapping[str, np.ndarray] = NOTHING_HIDDEN) -> Frame:
     """The frame with its LiDAR points coloured by its own cameras (see `colour_points`)."""
-    points = colour_points(frame.points, frame.cameras, frame.images)
+    points = colour_points(frame.points, frame.cameras, frame.images, hidden)
     return dataclasses.replace(frame, points=points)
 
 

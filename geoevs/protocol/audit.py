@@ -234,7 +234,7 @@ def _ceiling(scene: Scene) -> Iterator[dict[str, Any]]:
             camera, photo = scene.camera(name, frame), scene.image(name, frame)
             others = {other: scene.camera(other, frame) for other in scene.cameras if other != name}
             images = {other: scene.image(other, frame) for other in others}
-            coloured = colour_points(points, others, images)
+            coloured = colour_points(points, others, images, scene.ego_masks)
             image, mask = _shown(coloured, camera)
             row = {
                 "part": "ceiling",

@@ -125,6 +125,8 @@ def _frame_rows(
     truth, origin = _true_depths(scene, depths, frame)
     for camera in scene.cameras:
         known = (truth[camera] > 0) & (truth[camera] <= FARTHEST)
+        if camera in scene.ego_masks:
+            known &= ~scene.ego_masks[camera]
         mask = known & (estimate[camera] > 0)
         scores = depth_metrics(estimate[camera], truth[camera], mask)
         scores[COVERAGE] = float(mask.sum() / known.sum()) if known.any() else math.nan

@@ -1,6 +1,6 @@
 """Regions of a target: what they should look like, and which of its pixels count (see METRICS)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,13 @@ class Answer:
     target: np.ndarray  # [H, W, 3]
     mask: np.ndarray  # [H, W] bool
     support_ratio: float
+
+    def without(
+        self,
+        hidden: np.ndarray,  # [H, W] bool
+    ) -> "Answer":
+        """The answer without the pixels that show the car which carries the camera."""
+        return replace(self, mask=self.mask & ~hidden)
 
 
 def regions(

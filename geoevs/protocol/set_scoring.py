@@ -61,6 +61,9 @@ def score_sets(
             if rendered is None:
                 failures[target.split].append(outcome["reason"])
                 continue
+            ego = answers.ego_mask(target)
+            if ego is not None:  # alike in both, so that its pixels count in no distance
+                rendered = np.where(ego[..., None], dense, rendered)
             pairs[target.split].append((f"{scene}/{target.frame:06d}", rendered, dense))
     identity = {"method": entry.method, "variant": entry.variant, "seed": entry.seed}
     return [

@@ -88,15 +88,25 @@ def write_stressed(folder: Path, scene: Scene, stressor: str, level: float, seed
         stores = ", ".join(name for name, other in STRESSORS.items() if other.kind == "store")
         raise GeoEvsError(f"'{stressor}' changes no scene store; choose one of {stores}")
     change_frame = change(scene, level, Rng(seed, "stress", scene.info.name, stressor).numpy)
-    frames = [colour_frame(change_frame(_frame(scene, frame))) for frame in scene.frames]
+    frames = [
+        colour_frame(change_frame(_frame(scene, frame)), scene.ego_masks) for frame in scene.frames
+    ]
     info = dataclasses.replace(scene.info, cameras=tuple(frames[0].cameras))
-    write_scene(folder, info, scene.tracks, iter(frames))
+    write_scene(folder, info, scene.tracks, iter(frames), scene.extras(info.cameras))
 
 
 def _frame(scene: Scene, frame: int) -> Frame:
     cameras = {name: scene.camera(name, frame) for name in scene.cameras}
     images = {name: scene.image(name, frame) for name in scene.cameras}
-    return Frame(frame, scene.timestamp(frame), cameras, images, scene.points(frame))
+    exposures = {name: scene.exposure(name, frame) for name in scene.cameras}
+    return Frame(
+        frame,
+        scene.timestamp(frame),
+        cameras,
+        images,
+        scene.points(frame),
+        exposures={name: exposure for name, exposure in exposures.items() if exposure},
+    )
 
 
 def _thin(scene: Scene, level: float, rng: np.random.Generator) -> FrameChange:

@@ -14,7 +14,14 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.names import check_name
 from geoevs.core.text import clean
 from geoevs.scenes.camera import WORLD_LIMIT, Camera
-from geoevs.scenes.scene import MOST_CAMERAS, TRACK_COLUMNS, PointCloud, Rig, SceneInfo
+from geoevs.scenes.scene import (
+    MOST_CAMERAS,
+    TRACK_COLUMNS,
+    Exposure,
+    PointCloud,
+    Rig,
+    SceneInfo,
+)
 from geoevs.scenes.virtual import yaw_gap
 
 LAST_FRAME = 999_999
@@ -96,6 +103,23 @@ def timestamp(value: Any, where: Where, last: float = -math.inf) -> float:
     return seconds
 
 
+def check_exposure(value: Any, where: Where) -> Exposure:
+    """When a camera took an image, as it stands in a file.
+
+    Raises:
+        GeoEvsError: it is not three numbers (see Exposure), or their order is impossible.
+    """
+    if not isinstance(value, (list, tuple)) or len(value) != len(Exposure._fields):
+        raise GeoEvsError(f"{where}: the exposure is no list of time, start and end; correct it")
+    exposure = Exposure(*(number(seconds, "the exposure", where) for seconds in value))
+    if not exposure.start <= exposure.time <= exposure.end:
+        raise GeoEvsError(
+            f"{where}: the exposure's time {exposure.time:.6f} does not lie from its start "
+            f"{exposure.start:.6f} to its end {exposure.end:.6f}; correct it"
+        )
+    return exposure
+
+
 def check_info(info: SceneInfo, where: Where) -> None:
     """Check a scene's description.
 
@@ -121,6 +145,9 @@ def check_info(info: SceneInfo, where: Where) -> None:
         raise GeoEvsError(f"{where}: the origin is no list of three metres; correct it")
     for metres in info.origin:
         number(metres, "the origin", where)
+    number(info.box_delay, "box_delay", where)
+    if not isinstance(info.redistribute, bool):
+        raise GeoEvsError(f"{where}: 'redistribute' is neither true nor false; correct it")
 
 
 def check_rig(rig: Rig, cameras: Mapping[str, Camera], where: Where) -> None:

@@ -1,7 +1,7 @@
 """What a data source hands over: frames of camera images and LiDAR points, boxes, and a rig."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -16,6 +16,7 @@ from geoevs.core.stamps import Stamp
 from geoevs.scenes.camera import Camera
 
 LIDAR_SPLITS = ("sensor", "beam")
+MAP_SHAPES = ("polygon", "polyline", "point")
 MOST_CAMERAS = 127
 """Cameras of a scene at most, as a point's `camera` is an int8."""
 
@@ -77,6 +78,18 @@ class PointCloud:
         )
 
 
+class Exposure(NamedTuple):
+    """When a camera took an image, in the seconds of its frame's timestamp.
+
+    `time` is the instant of the camera's pose; a rolling shutter reads its first column or row
+    at `start` and its last one at `end`.
+    """
+
+    time: float
+    start: float
+    end: float
+
+
 @dataclass(frozen=True)
 class Frame:
     """One instant as a source gives it: every camera's image, and the LiDAR sweep.
@@ -84,7 +97,8 @@ class Frame:
     `cameras` and `images` share their keys, the camera names, in the rig's order; images are
     (H, W, 3) uint8 at the run's resolution, free of lens distortion. `depths` is dense truth of
     the same views, (H, W) float32 metres with 0 = none, where the source knows it; it is kept
-    apart from the scene store, out of every method's sight.
+    apart from the scene store, out of every method's sight. `exposures` says when each camera took
+    its image, where the source knows that it was not at `timestamp`.
     """
 
     frame: int
@@ -93,6 +107,7 @@ class Frame:
     images: dict[str, np.ndarray]
     points: PointCloud
     depths: dict[str, np.ndarray] = field(default_factory=dict)
+    exposures: dict[str, Exposure] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -127,7 +142,9 @@ class SceneInfo:
     """A scene's name, source, licence, rig and cameras.
 
     `origin` is what was subtracted from its source's coordinates, in metres (see `scene_origin`);
-    `made_with` tells the settings and the data of the store.
+    `made_with` tells the settings and the data of the store. `redistribute` is whether the licence
+    lets anybody hand on the pictures. `box_delay` is seconds from a frame's timestamp to the
+    instant of its boxes.
     """
 
     name: str
@@ -137,6 +154,44 @@ class SceneInfo:
     cameras: tuple[str, ...]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     made_with: Stamp = field(default_factory=dict)
+    redistribute: bool = False
+    box_delay: float = 0.0
+
+
+class MapFeature(NamedTuple):
+    """A piece of the road map.
+
+    Args:
+        kind: what it is, in its source's words, such as `crosswalk`.
+        shape: of MAP_SHAPES; a polygon's last corner joins its first.
+        points: (N, 3) float64 metres in the world.
+    """
+
+    kind: str
+    shape: str
+    points: np.ndarray
+
+
+@dataclass(frozen=True)
+class SceneExtras:
+    """What only some sources know.
+
+    Args:
+        ego_masks: (H, W) bool by camera: the pixels where it sees the car that carries it, in every
+            frame. They count in no score, condition or colouring.
+        map_features: the road map around the scene.
+        no_label_zones: by frame, polygons (N, 2) float64 metres of the world's ground plane in
+            which nobody drew boxes.
+        synced_tracks: boxes with TRACK_COLUMNS and `camera`, at the instant of that camera's image.
+    """
+
+    ego_masks: Mapping[str, np.ndarray] = field(default_factory=dict)
+    map_features: Sequence[MapFeature] = ()
+    no_label_zones: Mapping[int, Sequence[np.ndarray]] = field(default_factory=dict)
+    synced_tracks: pd.DataFrame | None = None
+
+
+NO_EXTRAS = SceneExtras()
 
 
 @dataclass(frozen=True)
@@ -152,6 +207,7 @@ class SceneRecord:
     tracks: pd.DataFrame
     frames: Iterator[Frame]
     frame_count: int
+    extras: SceneExtras = NO_EXTRAS
 
 
 def scene_origin(place: np.ndarray) -> tuple[float, float, float]:

@@ -4,12 +4,14 @@ transforms.json            nerfstudio's format, plus camera, frame, timestamp an
 images/<camera>/<frame>.png
 lidar/<frame>.npz          xyz, rgb, camera, sensor, beam (see PointCloud)
 tracks.parquet             boxes, one row a frame and track (see TRACK_COLUMNS)
-scene.json                 name, source, licence, rig, cameras, origin, made_with; written last
+scene.json                 what `SceneInfo` has; written last
+
+What only some sources know stands in further files (see `geoevs.scenes.extras`).
 """
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,6 +37,7 @@ from geoevs.core.names import inside
 from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, view_key
 from geoevs.scenes.checks import (
+    check_exposure,
     check_info,
     check_rig,
     check_tracks,
@@ -43,7 +46,25 @@ from geoevs.scenes.checks import (
     number,
     timestamp,
 )
-from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo
+from geoevs.scenes.extras import (
+    check_extras,
+    read_ego_masks,
+    read_map,
+    read_synced_tracks,
+    read_zones,
+    write_extras,
+)
+from geoevs.scenes.scene import (
+    NO_EXTRAS,
+    TRACK_COLUMNS,
+    Exposure,
+    Frame,
+    MapFeature,
+    PointCloud,
+    Rig,
+    SceneExtras,
+    SceneInfo,
+)
 
 # nerfstudio's cameras are OpenGL's: y up, z backward.
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -112,7 +133,11 @@ def _check_undistorted(entry: Mapping[str, Any], who: str) -> None:
 
 
 def write_scene(
-    folder: Path, info: SceneInfo, tracks: pd.DataFrame, frames: Iterator[Frame]
+    folder: Path,
+    info: SceneInfo,
+    tracks: pd.DataFrame,
+    frames: Iterator[Frame],
+    extras: SceneExtras = NO_EXTRAS,
 ) -> None:
     """Write a scene store, whole or not at all, reading one frame at a time.
 
@@ -124,7 +149,8 @@ def write_scene(
     check_info(info, who)
     check_tracks(tracks, who)
     with new_folder(folder) as partial:
-        entries = []
+        entries: list[dict[str, Any]] = []
+        sizes: dict[str, tuple[int, int]] = {}
         seconds = -math.inf
         for frame in frames:
             where = f"frame {frame_number(frame.frame, who)} of {who}"
@@ -133,20 +159,24 @@ def write_scene(
             for name in info.cameras:
                 path = f"images/{view_key(name, frame.frame)}.png"
                 write_image(partial / path, frame.images[name])
-                entries.append(
-                    {
-                        "file_path": path,
-                        "camera": name,
-                        "frame": frame.frame,
-                        "timestamp": frame.timestamp,
-                        "split": "train",
-                        **camera_to_json(frame.cameras[name]),
-                    }
-                )
+                entry = {
+                    "file_path": path,
+                    "camera": name,
+                    "frame": frame.frame,
+                    "timestamp": frame.timestamp,
+                    "split": "train",
+                    **camera_to_json(frame.cameras[name]),
+                }
+                if name in frame.exposures:
+                    entry["exposure"] = list(frame.exposures[name])
+                entries.append(entry)
+                sizes[name] = frame.images[name].shape[:2]
             arrays = {name: getattr(points, name) for name in POINT_FIELDS}
             write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
         if not entries:
             raise GeoEvsError(f"scene '{info.name}' has no frames; check its frame range")
+        check_extras(extras, sizes, who)
+        write_extras(partial, extras)
         write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
         write_json(partial / "transforms.json", {"camera_model": "OPENCV", "frames": entries})
         described = {**vars(info), "rig": vars(info.rig), "made_with": dict(info.made_with)}
@@ -166,6 +196,8 @@ def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
             )
         if image.dtype != np.uint8 and not np.isfinite(image).all():
             raise GeoEvsError(f"{where}: the image of camera '{name}' has NaN; make it again")
+    for exposure in frame.exposures.values():
+        check_exposure(exposure, where)
     check_rig(info.rig, {name: frame.cameras[name] for name in info.cameras}, where)
     return checked_points(frame.points, len(info.cameras), where)
 
@@ -211,6 +243,7 @@ class _View(NamedTuple):
     camera: Camera
     image: Path
     timestamp: float
+    exposure: Exposure | None
 
 
 def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int], _View]:
@@ -245,7 +278,13 @@ def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int],
             raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
         images.add(image)
         camera = camera_from_json(entry, name, path)
-        views[key] = _View(camera, image, timestamp(entry["timestamp"], who))
+        exposure = entry.get("exposure")
+        views[key] = _View(
+            camera,
+            image,
+            timestamp(entry["timestamp"], who),
+            None if exposure is None else check_exposure(exposure, who),
+        )
     return views
 
 
@@ -296,7 +335,7 @@ class Scene:
         Raises:
             GeoEvsError: the file is no image, or one of another size than its camera.
         """
-        camera, path, _ = self._view(name, frame)
+        camera, path = self._view(name, frame)[:2]
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise GeoEvsError(
@@ -308,6 +347,46 @@ class Scene:
     def timestamp(self, frame: int) -> float:
         """Seconds at which `frame` was recorded."""
         return self._view(self.cameras[0], frame).timestamp
+
+    def exposure(self, name: str, frame: int) -> Exposure | None:
+        """When camera `name` took its image of `frame`; None where its source does not know."""
+        return self._view(name, frame).exposure
+
+    @cached_property
+    def ego_masks(self) -> dict[str, np.ndarray]:
+        """(H, W) bool by camera: pixels that show the car which carries it (see SceneExtras)."""
+        return read_ego_masks(self.folder, self._sizes)
+
+    @cached_property
+    def map_features(self) -> list[MapFeature]:
+        """The road map; empty where the source has none."""
+        return read_map(self.folder)
+
+    @cached_property
+    def no_label_zones(self) -> dict[int, list[np.ndarray]]:
+        """Polygons (N, 2) in which nobody drew boxes, by frame (see SceneExtras)."""
+        return read_zones(self.folder)
+
+    @cached_property
+    def synced_tracks(self) -> pd.DataFrame | None:
+        """Boxes at the instants of the cameras; None where the source has none."""
+        return read_synced_tracks(self.folder, self._sizes)
+
+    def extras(self, cameras: Sequence[str]) -> SceneExtras:
+        """What only some sources know of the scene, for a store with some of its cameras."""
+        synced = self.synced_tracks
+        return SceneExtras(
+            {name: mask for name, mask in self.ego_masks.items() if name in cameras},
+            self.map_features,
+            self.no_label_zones,
+            None if synced is None else synced[synced["camera"].isin(cameras)],
+        )
+
+    @property
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        """Height and width by camera."""
+        cameras = {name: self.camera(name, self.frames[0]) for name in self.cameras}
+        return {name: (camera.height, camera.width) for name, camera in cameras.items()}
 
     def points(self, frame: int) -> PointCloud:
         """The coloured LiDAR points of `frame`.

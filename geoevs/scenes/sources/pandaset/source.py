@@ -12,6 +12,7 @@ from geoevs.core.names import expanded
 from geoevs.scenes.camera import WORLD_LIMIT, Camera
 from geoevs.scenes.checks import check_info
 from geoevs.scenes.scene import (
+    Exposure,
     Frame,
     PointCloud,
     Rig,
@@ -93,7 +94,13 @@ class Source:
             places.append(read_pose(sensor / "poses.json", frames[0])[:3, 3])
         # Not their mean: one sensor whose pose is wrong must not move the others.
         info = SceneInfo(
-            scene.name, "pandaset", LICENCE, RIG, cameras, scene_origin(np.median(places, axis=0))
+            name=scene.name,
+            source="pandaset",
+            licence=LICENCE,
+            rig=RIG,
+            cameras=cameras,
+            origin=scene_origin(np.median(places, axis=0)),
+            redistribute=True,
         )
         check_info(info, folder)
         return SceneRecord(
@@ -129,7 +136,7 @@ class Source:
         return folder
 
     def _read_frame(self, folder: Path, info: SceneInfo, number: int) -> Frame:
-        calibrated, images = {}, {}
+        calibrated, images, exposures = {}, {}, {}
         for name in info.cameras:
             path = folder / f"camera/{name}/{number:02d}.jpg"
             image = read_image(path)
@@ -139,12 +146,15 @@ class Source:
             images[name] = cv2.resize(
                 image, (self.width, self.height), interpolation=cv2.INTER_AREA
             )
+            time = read_timestamp(path.parent / "timestamps.json", number)
+            exposures[name] = Exposure(time, time, time)
         return Frame(
             frame=number,
             timestamp=read_timestamp(folder / "lidar/timestamps.json", number),
             cameras=calibrated,
             images=images,
             points=_read_sweep(folder / f"lidar/{number:02d}.pkl.gz", info.origin),
+            exposures=exposures,
         )
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.checks import check_tracks
 from geoevs.scenes.scene import TRACK_COLUMNS
+from geoevs.scenes.sources.conventions import mark_moving
 from geoevs.scenes.sources.pandaset.unpickle import read_table
 
 # Where PandaSet keeps each number; a box's y side is its length, its x side its width.
@@ -42,8 +43,7 @@ def read_tracks(
     boxes = pd.concat([_read_frame(folder, frame, origin) for frame in frames], ignore_index=True)
     paired = boxes["from_front_lidar"] & boxes["sibling"].isin(boxes["track"])
     boxes["track"] = boxes["track"].where(~paired, boxes["sibling"])
-    # A track that moves in any frame moves; PandaSet's flag holds for the whole sequence anyway.
-    boxes["moving"] = boxes.groupby("track")["moving"].transform("any")
+    boxes = mark_moving(boxes, boxes["moving"].to_numpy(bool))
     boxes = boxes.sort_values(["frame", "from_front_lidar"], kind="stable")
     boxes = boxes.drop_duplicates(["frame", "track"])
     return boxes[list(TRACK_COLUMNS)].reset_index(drop=True)

@@ -151,6 +151,7 @@ class Source:
             licence="CC0-1.0",
             rig=RIG,
             cameras=tuple(MOUNTS),
+            redistribute=True,
         )
         return SceneRecord(
             info=info,
