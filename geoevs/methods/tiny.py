@@ -4,7 +4,7 @@ Depth and colour are closed forms, so that expectations can be derived by hand. 
 meant to look real; benchmark scenes come from `geoevs.scenes.sources`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,16 @@ import pandas as pd
 
 from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo, Truth
+from geoevs.scenes.scene import (
+    NO_EXTRAS,
+    TRACK_COLUMNS,
+    Frame,
+    PointCloud,
+    Rig,
+    SceneExtras,
+    SceneInfo,
+    Truth,
+)
 from geoevs.scenes.store import Scene, write_scene
 
 HEIGHT, WIDTH = 48, 72
@@ -54,7 +63,9 @@ def tiny_truth(camera: Camera) -> Truth:
     return Truth(image, distance.astype(np.float32).reshape(shape))
 
 
-def write_tiny_scene(folder: Path, cameras: Sequence[str] = tuple(YAWS)) -> Scene:
+def write_tiny_scene(
+    folder: Path, cameras: Sequence[str] = tuple(YAWS), extras: SceneExtras = NO_EXTRAS
+) -> Scene:
     """Write the tiny scene's store, with some of its cameras, and open it."""
     info = SceneInfo(
         name="tiny",
@@ -63,16 +74,17 @@ def write_tiny_scene(folder: Path, cameras: Sequence[str] = tuple(YAWS)) -> Scen
         rig=Rig("front", "left", "right", lidar_split="beam"),
         cameras=tuple(cameras),
     )
-    write_scene(folder, info, _tracks(), _frames(info.cameras))
+    frames = _frames(info.cameras, extras.ego_masks)
+    write_scene(folder, info, _tracks(), frames, extras)
     return Scene(folder)
 
 
-def _frames(names: Sequence[str]) -> Iterator[Frame]:
+def _frames(names: Sequence[str], ego_masks: Mapping[str, np.ndarray]) -> Iterator[Frame]:
     for frame in FRAMES:
         ego = MOUNT + frame * STEP
         cameras = {name: tiny_camera(name, YAWS[name], ego) for name in names}
         images = {name: tiny_truth(camera).rgb for name, camera in cameras.items()}
-        points = colour_points(_sweep(ego + LIDAR_ABOVE), cameras, images)
+        points = colour_points(_sweep(ego + LIDAR_ABOVE), cameras, images, ego_masks)
         yield Frame(frame, 0.1 * frame, cameras, images, points)
 
 
