@@ -67,7 +67,9 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_runtest_setup(item):
-    """Skip what needs a GPU where none is, or where it is hidden."""
+    """Skip what takes minutes unless it is asked for, and what needs a GPU where none is."""
+    if item.get_closest_marker("paper") and item.config.option.markexpr != "paper":
+        pytest.skip("the paper's rules at its resolution take minutes; run `pytest -m paper`")
     if item.get_closest_marker("cuda"):
         import torch
 
