@@ -82,7 +82,8 @@ def write_demo(demo: Path, folder: Path) -> Path:
     tables["sample"] = [
         {"token": "sample", "scene_token": "scene", "timestamp": micros, "prev": "", "next": ""}
     ]
-    names = {number: name for name, number in info["metainfo"]["categories"].items()} | {-1: "other"}
+    names = {number: name for name, number in info["metainfo"]["categories"].items()}
+    names[-1] = "other"
     tables |= _box_tables(frame["instances"], names, world_from_lidar)
     write_tables(folder / FOLDER, tables)
     for sensor in sensors:
