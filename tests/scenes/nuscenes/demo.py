@@ -3,7 +3,6 @@
 The demo has images and a sweep as nuScenes released them, but a pickle in place of the tables.
 """
 
-import codecs
 import pickle
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ from tests.scenes.nuscenes.writer import FOLDER, write_tables
 
 ADMITTED = {
     ("numpy", "dtype"): np.dtype,
-    ("numpy.core.multiarray", "scalar"): np._core.multiarray.scalar,
-    ("_codecs", "encode"): codecs.encode,
+    ("numpy.core.multiarray", "scalar"): lambda dtype, raw: np.frombuffer(raw, dtype)[0],
+    ("_codecs", "encode"): lambda text, _: text.encode("latin-1"),
 }
 CATEGORIES = {
     "car": "vehicle.car",

@@ -46,7 +46,7 @@ def read_sweep(path: Path, car_from_lidar: np.ndarray, world_from_car: np.ndarra
     good = (np.abs(xyz) <= WORLD_LIMIT).all(axis=1)  # NaN is not good either
     if not good.all():
         raise GeoEvsError(
-            f"{path} has {(~good).sum()} of {len(good)} points that are NaN, infinite or more than "
+            f"{path} has {(~good).sum()} of {len(xyz)} points that are NaN, infinite or more than "
             f"{WORLD_LIMIT / 1000:g} km away; download it again"
         )
     if not np.isin(ring, np.arange(BEAMS)).all():
