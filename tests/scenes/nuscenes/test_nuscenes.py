@@ -238,8 +238,10 @@ def test_a_store_keeps_it_all(nuscenes, tmp_path):
     assert not scene.ego_masks["CAM_BACK"][:16].any()
     early = CAMERAS["CAM_BACK"][1] / 1e6
     assert scene.exposure("CAM_BACK", 2).time == pytest.approx(START / 1e6 + 0.5 - early, abs=1e-6)
-    # Two of three points lie before the front camera, the third to the left of its image.
-    assert (scene.points(0).camera == 0).sum() >= 2
+    # All three points lie before the front camera, less than 12 degrees off its axis.
+    red = np.array(CAMERAS["CAM_FRONT"][2]) / 255
+    np.testing.assert_array_equal(scene.points(0).camera, 0)
+    np.testing.assert_allclose(scene.points(0).rgb, [red] * 3, atol=0.015)
 
 
 def test_masks_are_resized_without_grey(nuscenes, tmp_path):
