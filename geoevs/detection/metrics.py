@@ -59,10 +59,10 @@ def average_precision(
     to the next lower recall it stays level in steps of RECALL_STEP, and falls or rises within the
     last, shorter step. Down to recall 0 it stays level.
     """
-    order = np.lexsort((-precision, -recall), axis=-1)
-    recall = np.take_along_axis(recall, order, axis=-1)
-    precision = np.where(recall > 0, np.take_along_axis(precision, order, axis=-1), 0)
-    best = np.maximum.accumulate(precision, axis=-1)
+    # Complex numbers are sorted by their real parts, and equal ones by the imaginary parts.
+    falling = -np.sort(-(recall + 1j * precision), axis=-1)
+    recall = falling.real
+    best = np.maximum.accumulate(np.where(recall > 0, falling.imag, 0), axis=-1)
     gap = -np.diff(recall, axis=-1, append=0)
     steps = np.maximum(np.ceil((gap - SLACK) / RECALL_STEP) - 1, 0)
     rest = gap - steps * RECALL_STEP
@@ -93,7 +93,7 @@ def metrics_table(counts: pd.DataFrame, resamples: int, confidence: float) -> pd
     """
     rules = RULES[counts["rules"].iloc[0]]
     sums = scene_sums(counts)
-    draws = _draws(len(sums), resamples)
+    draws, which = np.unique(_draws(len(sums), resamples), axis=0, return_inverse=True)
     values = {
         (place, level): average_precisions(np.tensordot(draws, sums[:, place, level], 1))
         for place, level in np.ndindex(sums.shape[1:3])
@@ -106,7 +106,7 @@ def metrics_table(counts: pd.DataFrame, resamples: int, confidence: float) -> pd
             all_predictions = sums[:, places, level, 0].sum(axis=1)  # [N, F]
             varied = np.count_nonzero(all_predictions[:, FIELDS.index("truths")]) > 1
             for name in WEIGHTS:
-                drawn = _mean_known([values[place, level][name] for place in places])
+                drawn = _mean_known([values[place, level][name] for place in places])[which]
                 low, high = _quantiles(drawn[1:] if varied else drawn[:0], [tail, 1 - tail])
                 row |= {name: drawn[0], f"{name}_low": low, f"{name}_high": high}
             rows.append(row | _sizes(all_predictions.sum(axis=0)))

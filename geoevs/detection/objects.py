@@ -59,7 +59,7 @@ def read_truths(path: Path, tolerant: bool) -> pd.DataFrame:
         camera = label.text(LABEL["camera"])
         row = _place(found, label) | _box(label, box)
         row |= {"points": _signed(label.whole(LABEL[points])), "camera": camera}
-        row |= {"level": label.whole(LABEL["level"])}
+        row |= {"level": _signed(label.whole(LABEL["level"]))}
         if tolerant and camera and row["points"] > 0 and LABEL[box] not in label.fields:
             raise GeoEvsError(
                 f"{label.where} names a camera that sees it but has no camera_synced_box; take "

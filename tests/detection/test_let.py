@@ -43,7 +43,7 @@ def test_affinity_far_away(prediction, expected):
 
 def test_affinity_falls_linearly_along_the_ray():
     sensor = np.array(LET.tolerance.sensor)
-    truth = sensor + [30, 20, -1]
+    truth = sensor + np.array([30, 20, -1])
     distance = np.linalg.norm(truth - sensor)
     shifts = np.linspace(-0.2, 0.2, 41)  # 10 % are tolerated
     shifted = [box(*sensor + (truth - sensor) * (1 + shift)) for shift in shifts]
