@@ -38,7 +38,7 @@ def iou_3d(
 
 def _is_box(boxes: np.ndarray) -> np.ndarray:
     sides = boxes[..., 3:6]
-    return ((sides > SMALLEST) & (sides < LARGEST)).all(axis=-1)
+    return np.all((sides > SMALLEST) & (sides < LARGEST), axis=-1)
 
 
 def intersection_areas(

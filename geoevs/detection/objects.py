@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import check_file
+from geoevs.core.files import whole_file
 from geoevs.core.protobuf import BYTES, VARINT, Message, damaged, read_key
 from geoevs.detection.rules import CLASSES
 
@@ -71,7 +71,8 @@ def read_truths(path: Path, tolerant: bool) -> pd.DataFrame:
 
 def _objects(path: Path) -> Iterator[tuple[Message, Message]]:
     """Every object of a file, and the label in it."""
-    data = memoryview(check_file(path).read_bytes())
+    with whole_file(path):
+        data = memoryview(path.read_bytes())
     at = number = 0
     while at < len(data):
         key = read_key(data, at, str(path))

@@ -140,6 +140,14 @@ def test_headings_and_affinities_are_summed_over_hits():
     assert found["affinity"] == pytest.approx(0.5 + 1)
 
 
+def test_headings_beyond_a_quarter_turn_are_flipped():
+    there = truths(box(10, 0, 1, 2, 2, 2))
+    for degrees, flipped in ((89, 0), (91, 1), (-91, 1), (180, 1), (271, 0)):
+        seen = predictions(box(10, 0, 1, 2, 2, 2, math.radians(degrees)))
+        assert counted(seen, there, LET)["true_positives"] == 1
+        assert counted(seen, there, LET)["flipped"] == flipped
+
+
 def test_the_order_of_boxes_does_not_matter(street):
     boxes, names = street
     rng = np.random.default_rng(0)
