@@ -129,20 +129,10 @@ class Message:
 
     def whole(self, number: int) -> int:
         """A whole number of 0 or more; 0 if the field has none."""
-        return (self.wholes(number) or [0])[-1]
-
-    def wholes(self, number: int) -> list[int]:
-        """A list of whole numbers, packed or not."""
-        values: list[int] = []
-        for value in self.fields.get(number, []):
-            if isinstance(value, int):
-                values.append(value)
-                continue
-            at = 0
-            while at < len(value):
-                packed, at = read_varint(value, at, self.where)
-                values.append(packed)
-        return values
+        value = self.fields.get(number, [0])[-1]
+        if not isinstance(value, int):
+            raise damaged(self.where, f"field {number} is no whole number")
+        return value
 
     def double(self, number: int) -> float:
         """An eight-byte number; 0 if the field has none."""

@@ -87,6 +87,7 @@ def test_a_file_that_is_cut_off_anywhere_is_one_sentence(tmp_path):
         (field(1, message({1: 5})), "field 1 is a whole number"),
         (field(1, message({4: b"\xff\xfe"})), "field 4 is no text"),
         (field(1, message({1: message({1: message({1: b"short"})})})), "field 1 holds other"),
+        (field(1, message({5: 0.5})), "field 5 is no whole number"),
         (bytes([0x0A, 0xFF]), "a number in it does not end"),
     ],
 )
