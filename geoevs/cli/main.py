@@ -31,8 +31,11 @@ COMMANDS = (
     "tables",
     "outcomes",
     "adapters",
+    "detection",
 )
-FOR_PEOPLE = ("why", "compare", "verify", "grid", "new-adapter", "check-adapter", "export")
+FOR_PEOPLE = (
+    *("why", "compare", "verify", "grid", "new-adapter", "check-adapter", "export", "let-ap"),
+)
 """The commands that people call, as the help lists them; rules call the others."""
 
 _log: Path | None = None

@@ -1,0 +1,1 @@
+"""3-D detection: how boxes are scored, from pairs of boxes to additive counts and tables."""
