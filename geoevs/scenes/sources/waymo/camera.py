@@ -56,15 +56,16 @@ def read_exposure(calibration: CameraCalibration, image: CameraImage) -> Exposur
     """
     for name in ("pose_time", "shutter", "trigger", "done"):
         number(getattr(image, name), f"the {name} of an image", image.where)
-    corner = float(calibration.width), float(calibration.height)
-    ends = [line_time(calibration, image, *place) for place in ((0.0, 0.0), corner)]
     time = line_time(calibration, image, *calibration.intrinsic[2:4].tolist())
-    if max(abs(end - image.pose_time) for end in ends) > LONGEST_GAP:
+    first, last = image.trigger + image.shutter / 2, image.done - image.shutter / 2
+    if READOUTS[calibration.readout] == (0, 0):
+        first = last = time
+    if max(abs(first - image.pose_time), abs(last - image.pose_time)) > LONGEST_GAP:
         raise GeoEvsError(
             f"{image.where}: an image was exposed more than {LONGEST_GAP:g} s from its pose's "
             "time; download the file again"
         )
-    return check_exposure(Exposure(time, min(ends), max(ends)), image.where)
+    return check_exposure(Exposure(time, first, last), image.where)
 
 
 def vehicle_pose(image: CameraImage, time: float) -> np.ndarray:

@@ -33,11 +33,12 @@ def sweep_points(
         GeoEvsError: images and calibration do not fit, or points are NaN or beyond WORLD_LIMIT.
     """
     images = [sweep.first, sweep.second] if second_returns else [sweep.first]
-    points = [
-        unproject(image, sweep.poses, calibration, frame_pose, sweep.where)
-        for image in images
-        if image is not None
-    ]
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused below
+        points = [
+            unproject(image, sweep.poses, calibration, frame_pose, sweep.where)
+            for image in images
+            if image is not None
+        ]
     if not points:
         return no_points()
     xyz = np.concatenate([part[0] for part in points]) - origin
@@ -135,8 +136,7 @@ def _moved_each(
     """Each point by its own pose: Rz(yaw) Ry(pitch) Rx(roll), then the translation."""
     x, y, z = points.T
     (roll, pitch, yaw), place = poses[:, :3].T, poses[:, 3:]
-    with np.errstate(invalid="ignore"):  # of infinite angles come NaN, which the caller refuses
-        y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
-        x, z = np.cos(pitch) * x + np.sin(pitch) * z, np.cos(pitch) * z - np.sin(pitch) * x
-        x, y = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
+    y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
+    x, z = np.cos(pitch) * x + np.sin(pitch) * z, np.cos(pitch) * z - np.sin(pitch) * x
+    x, y = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
     return np.stack([x, y, z], axis=1) + place

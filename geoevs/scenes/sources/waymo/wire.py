@@ -135,7 +135,10 @@ class Message:
 
     def whole(self, number: int) -> int:
         """A whole number of 0 or more; 0 if the field has none."""
-        return (self.wholes(number) or [0])[-1]
+        value = self.fields.get(number, [0])[-1]
+        if not isinstance(value, int):
+            raise damaged(self.where, f"field {number} is no whole number")
+        return value
 
     def wholes(self, number: int) -> list[int]:
         """A list of whole numbers, packed or not."""
