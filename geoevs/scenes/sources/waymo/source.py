@@ -37,9 +37,8 @@ from geoevs.scenes.sources.waymo.tracks import read_tracks
 
 RIG = Rig(front="front", front_left="front_left", front_right="front_right", lidar_split="beam")
 LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use"
-BOX_DELAY = 0.05
-"""Seconds from a frame's timestamp, its first return, to its pose and boxes: half a turn of the top
-LiDAR, which turns ten times a second."""
+BOX_DELAY = 0.0
+"""Seconds from a frame's timestamp to its boxes: label.proto has them live at the frame's start."""
 
 
 class Source:
