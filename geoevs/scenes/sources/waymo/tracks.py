@@ -1,6 +1,6 @@
 """Waymo's boxes as tracks: from the vehicle's axes to the world, with one rule for what moves."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -31,11 +31,14 @@ def read_tracks(
     """
     boxes, synced = [], []
     for frame, drawn in frames.items():
-        boxes.append(_boxes(frame, drawn, drawn.labels, [at.box for at in drawn.labels], origin))
-        seen = [label for label in drawn.labels if label.synced is not None and label.camera]
-        at_cameras = [label.synced for label in seen if label.synced is not None]
-        table = _boxes(frame, drawn, seen, at_cameras, origin)
-        synced.append(table.assign(camera=[CAMERAS[label.camera - 1] for label in seen]))
+        boxes.append(_boxes(frame, drawn, [(label, label.box) for label in drawn.labels], origin))
+        seen = [
+            (label, label.synced)
+            for label in drawn.labels
+            if label.synced is not None and label.camera
+        ]
+        cameras = [CAMERAS[label.camera - 1] for label, _ in seen]
+        synced.append(_boxes(frame, drawn, seen, origin).assign(camera=cameras))
     tracks = pd.concat(boxes, ignore_index=True)
     tracks = mark_moving(tracks, tracks["speed"].to_numpy() >= MOVING_SPEED)
     shown = pd.concat(synced, ignore_index=True)
@@ -49,17 +52,17 @@ def read_tracks(
 def _boxes(
     frame: int,
     drawn: FrameLabels,
-    labels: Sequence[Label],
-    boxes: Iterable[Sequence[float]],
+    boxes: Sequence[tuple[Label, Sequence[float]]],
     origin: Origin,
 ) -> pd.DataFrame:
+    labels = [label for label, _ in boxes]
     for label in labels:
         if not 0 <= label.kind < len(LABELS):
             raise GeoEvsError(
                 f"{drawn.where}: a box is of type {label.kind}, and there are 0 to "
                 f"{len(LABELS) - 1} ({', '.join(LABELS)}); download the file again"
             )
-    numbers = np.array(list(boxes), np.float64).reshape(-1, 7)  # [N, 7]
+    numbers = np.array([box for _, box in boxes], np.float64).reshape(-1, 7)  # [N, 7]
     with np.errstate(invalid="ignore", over="ignore"):  # NaN and the like are refused below
         places = numbers[:, :3] @ drawn.pose[:3, :3].T + drawn.pose[:3, 3] - origin
         heading = numbers[:, 6]
