@@ -332,34 +332,47 @@ def read_arrays(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Read a PNG or JPEG as (H, W, 3) uint8 RGB, turned as its EXIF says.
+    """Read a PNG or JPEG file (see `decode_image`).
+
+    Raises:
+        GeoEvsError: the file is missing, or holds no such image.
+    """
+    path = check_file(path)
+    return decode_image(path, path)
+
+
+def decode_image(file: Path | io.BytesIO, where: Path | str) -> np.ndarray:
+    """Decode a PNG or JPEG to (H, W, 3) uint8 RGB, turned as its EXIF says.
 
     Grey, palettes and 16 bits are converted. What would be scored as something else than it shows
     is refused: transparency, floats, CMYK.
 
+    Args:
+        file: the image.
+        where: it stands, for errors.
+
     Raises:
-        GeoEvsError: the file is missing or truncated, is neither by its content, has another
-            meaning, or more than MAX_PIXELS.
+        GeoEvsError: it is truncated, is neither by its content, has another meaning, or more than
+            MAX_PIXELS.
     """
-    path = check_file(path)
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
+        with Image.open(file, formats=("PNG", "JPEG")) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise GeoEvsError(
-                    f"{path} has {image.height} x {image.width} pixels, more than any camera; make "
-                    "it smaller"
+                    f"{where} has {image.height} x {image.width} pixels, more than any camera; "
+                    "make it smaller"
                 )
-            return _rgb(ImageOps.exif_transpose(image), path)
+            return _rgb(ImageOps.exif_transpose(image), where)
     except GeoEvsError:
         raise
     except Exception as error:  # decoders raise anything at damaged files
         raise GeoEvsError(
-            f"{path} is not a whole PNG or JPEG image ({clean(str(error))}); make or download it "
+            f"{where} is not a whole PNG or JPEG image ({clean(str(error))}); make or download it "
             "again"
         ) from error
 
 
-def _rgb(image: Image.Image, path: Path) -> np.ndarray:
+def _rgb(image: Image.Image, path: Path | str) -> np.ndarray:
     """(H, W, 3) uint8 of an image whose mode says what its pixels mean."""
     if image.mode.startswith("I;16"):
         grey = np.rint(np.asarray(image, np.float64) / 257.0).astype(np.uint8)

@@ -134,6 +134,27 @@ class Message:
             raise damaged(self.where, f"field {number} is no whole number")
         return value
 
+    def wholes(self, number: int) -> list[int]:
+        """A list of whole numbers, packed or not."""
+        values: list[int] = []
+        for value in self.fields.get(number, []):
+            if isinstance(value, int):
+                values.append(value)
+                continue
+            at = 0
+            while at < len(value):
+                packed, at = read_varint(value, at, self.where)
+                values.append(packed)
+        return values
+
+    def doubles(self, number: int) -> np.ndarray:
+        """(N,) float64 of a list of eight-byte numbers, packed or not."""
+        return self._numbers(number, "<f8").astype(np.float64)
+
+    def floats(self, number: int) -> np.ndarray:
+        """(N,) float32 of a list of four-byte numbers, packed or not."""
+        return self._numbers(number, "<f4").astype(np.float32, copy=False)
+
     def double(self, number: int) -> float:
         """An eight-byte number; 0 if the field has none."""
         return float(self._last(self._numbers(number, "<f8")))

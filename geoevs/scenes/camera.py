@@ -30,6 +30,17 @@ def view_key(camera: str, frame: int) -> str:
     return f"{camera}/{frame:06d}"
 
 
+def is_rigid(pose: np.ndarray) -> bool:
+    """Whether a (4, 4) transform only turns and moves: no scale, no mirroring, nothing else."""
+    rotation = pose[:3, :3]
+    return bool(
+        np.abs(rotation).max() < 2  # whose products are no overflow
+        and np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
+        and np.linalg.det(rotation) > 0
+        and np.allclose(pose[3], [0, 0, 0, 1])
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera at one instant.
@@ -68,14 +79,7 @@ class Camera:
             raise GeoEvsError(f"{who} has a focal length that is not positive; correct fx and fy")
         self._check_size(who)
         self._check_lens(who)
-        rotation = self.world_from_camera[:3, :3]
-        rigid = (
-            np.abs(rotation).max() < 2  # whose products are no overflow
-            and np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID_TOLERANCE)
-            and np.linalg.det(rotation) > 0
-            and np.allclose(self.world_from_camera[3], [0, 0, 0, 1])
-        )
-        if not rigid:
+        if not is_rigid(self.world_from_camera):
             raise GeoEvsError(
                 f"{who} has a pose that is not rigid; its rotation must be orthonormal, without "
                 "scale or mirroring"

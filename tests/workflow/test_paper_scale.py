@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 import torch
 from diffusers import AutoencoderKL, PNDMScheduler, UNet2DConditionModel
-from tests.scenes.waymo.world import make_segment
-from tests.scenes.waymo.writers import write_v1
 
 from geoevs.core.networks import seeded
 from geoevs.geometry.vggt import Vggt, VggtConfig, save_vggt
+from tests.scenes.waymo.world import make_segment
+from tests.scenes.waymo.writers import write_v1
 
 SEGMENTS = ("1000_000_000_020_000", "2000_000_000_020_000")
 TINY = """
