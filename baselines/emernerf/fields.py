@@ -175,7 +175,9 @@ class ColourHead(nn.Module):
             of_samples, of_rays = of.weight[:, :inputs].split(
                 [self.sample_features, rays.shape[1]], dim=1
             )
-            return linear(rays, of_rays, of.bias)[ray] + linear(samples, of_samples)
+            # Not `[ray]`: its gradient adds up in the order in which threads get to it.
+            of_ray = linear(rays, of_rays, of.bias).index_select(0, ray)
+            return of_ray + linear(samples, of_samples)
 
         hidden = layer(self.first).relu()
         hidden = (layer(self.second) + linear(hidden, self.second.weight[:, inputs:])).relu()

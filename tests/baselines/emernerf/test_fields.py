@@ -126,6 +126,25 @@ def test_the_colour_head_is_a_network_of_all_inputs_side_by_side(sample_features
     torch.testing.assert_close(head(samples, rays, ray), head.last(hidden).sigmoid())
 
 
+def test_gradients_do_not_depend_on_how_threads_are_scheduled():
+    # More threads than any machine here has cores, so that they are scheduled anew each time.
+    threads = torch.get_num_threads()
+    torch.set_num_threads(16)
+    try:
+        generator = torch.Generator().manual_seed(0)
+        head = ColourHead(16, 40, 64)
+        samples = torch.randn(60_000, 16, generator=generator)
+        rays = torch.randn(1024, 40, generator=generator, requires_grad=True)
+        ray = torch.randint(1024, (60_000,), generator=generator).sort().values
+        slope = torch.randn(60_000, 3, generator=generator)
+        first, *others = (
+            torch.autograd.grad(head(samples, rays, ray), rays, slope)[0] for _ in range(6)
+        )
+    finally:
+        torch.set_num_threads(threads)
+    assert all(torch.equal(first, other) for other in others)
+
+
 def test_directions_are_encoded_by_sines_of_their_multiples():
     encoded = encode_directions(torch.tensor([[0.6, 0.0, 0.8]]))[0]
     assert encoded.shape == (27,)
