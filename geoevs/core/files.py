@@ -5,6 +5,7 @@ import fcntl
 import io
 import json
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -22,6 +23,9 @@ from geoevs.core.text import clean
 
 MAX_JSON_BYTES = 256 * 2**20
 """Most bytes of a JSON file; the largest of a run, a scene's targets, has a thousandth."""
+
+SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+"""How JSON writes half of a letter beyond 16 bits."""
 
 MAX_ARRAY_BYTES = 4 * 2**30
 """Most bytes that the arrays of a file may unpack to; a scene's largest are a hundredth."""
@@ -269,8 +273,8 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        GeoEvsError: the file is missing, is not JSON, has a key twice in one object, or is larger
-            than MAX_JSON_BYTES.
+        GeoEvsError: the file is missing, is not JSON, has a key twice in one object or half a
+            letter, or is larger than MAX_JSON_BYTES.
     """
     path = check_file(path)
     if path.stat().st_size > MAX_JSON_BYTES:
@@ -278,7 +282,11 @@ def read_json(path: Path) -> Any:
             f"{path} has more than {MAX_JSON_BYTES // 2**20} MiB; restore or remake it"
         )
     try:
-        return json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=_object)
+        text = path.read_bytes().decode("utf-8-sig")
+        value = json.loads(text, object_pairs_hook=_object)
+        if SURROGATE.search(text):  # half a letter is none, and can be written nowhere
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
     except OSError as error:
         raise GeoEvsError(f"{path} cannot be read ({error.strerror}); mend its rights") from error
     except (ValueError, RecursionError) as error:  # UnicodeDecodeError among them
