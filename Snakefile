@@ -23,6 +23,7 @@ container: "docker://python:3.11.13-bookworm"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/attempts.smk"
 include: "workflow/rules/provenance.smk"
 include: "workflow/rules/scenes.smk"
 include: "workflow/rules/geometry.smk"

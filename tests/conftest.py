@@ -39,8 +39,10 @@ which train, fit or render."""
 # The same examples each time, however busy the machine: what passed once passes again, until
 # somebody changes the code.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
-# New examples each time, and many: `pytest --hypothesis-profile long tests/config/test_fuzz.py`.
-settings.register_profile("long", max_examples=8000, deadline=None)
+# New examples each time, and many, and how many of each kind were used or refused:
+# `pytest --hypothesis-profile long tests/test_fuzz.py tests/*/test_fuzz.py`.
+LONG = "long"
+settings.register_profile(LONG, max_examples=3000, deadline=None)
 settings.load_profile("repeatable")
 
 
@@ -64,6 +66,19 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if str(item.path).startswith(slow):
             item.add_marker("slow")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """After many examples, say how many inputs of each kind were used or refused."""
+    fuzzing = sys.modules.get("tests.fuzzing")
+    if fuzzing is None or settings.get_current_profile_name() != LONG:
+        return
+    ends = [f"{what}, {end}" for what in ("sound", "broken") for end in ("used", "refused")]
+    terminalreporter.section("inputs that were tried")
+    terminalreporter.write_line(f"{'kind':32}" + "".join(f"{end:>17}" for end in ends))
+    for kind, counts in sorted(fuzzing.COUNTS.items()):
+        numbers = "".join(f"{counts[end]:17,}" for end in ends)
+        terminalreporter.write_line(f"{kind:32}{numbers}")
 
 
 def pytest_runtest_setup(item):

@@ -10,21 +10,22 @@ from jsonschema import Draft202012Validator
 from jsonschema.validators import extend
 
 from geoevs.config.datasets import check_datasets
-from geoevs.config.entrants import stability_entries
+from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.methods import check_method_options, check_methods
 from geoevs.config.partitions import partition_scenes
-from geoevs.config.places import COMMAND_LINE, ConfigFile, Origin, locate, located
+from geoevs.config.places import COMMAND_LINE, ConfigFile, Key, Origin, locate, located
 from geoevs.config.trainings import check_trainings
 from geoevs.config.values import check_values, explain
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.names import expanded
+from geoevs.core.plugins import check_imports
 from geoevs.core.settings import check_options
 from geoevs.geometry.depth_models import DEPTH_MODELS, VggtDepth
 from geoevs.methods.contract import ORACLES
 from geoevs.methods.finding import find_methods, find_trainings
 from geoevs.protocol.stability import levels_of
 from geoevs.protocol.stressors import STRESSORS, stressor_named
-from geoevs.scenes.scene import source_class
+from geoevs.scenes.scene import find_sources, source_class
 
 VALIDATOR = extend(
     Draft202012Validator,
@@ -36,6 +37,17 @@ VALIDATOR = extend(
 
 SUITE_MODEL = "vggt-nano"
 """The depth model whose pretrained weights come with this suite."""
+
+POSES: tuple[Key, ...] = (
+    ("protocol", "lateral"),
+    ("protocol", "pose_sweep", "angles"),
+    ("protocol", "masked", "yaw"),
+    ("protocol", "masked", "lateral"),
+    ("conditions", "masks", "lateral"),
+    ("stability", "lateral"),
+    *(("stability", "levels", name) for name in STRESSORS),
+)
+"""Lists whose values are parts of the names of files: of targets, masks and stresses."""
 
 
 def check_config(
@@ -73,7 +85,9 @@ def check_config(
         if place == COMMAND_LINE and len(key) > 1:
             problem += "; `--config` takes all that is in a section for text, so write a file"
         raise GeoEvsError(f"{place}: {problem}")
+    _check_imports(config)
     check_datasets(config, origins)
+    _check_poses(config, origins)
     _check_masks(config, origins)
     _check_geometry(config, origins)
     check_trainings(config, origins)
@@ -105,6 +119,39 @@ def _check_moved(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
                 f"{locate((old,), origins)}: the section '{old}' is 'trainings.{method}' now; move "
                 f"its keys under 'trainings:', '{method}:'"
             )
+
+
+def _check_imports(config: Mapping[str, Any]) -> None:
+    """Code that a config names must not end the process that checks it."""
+    methods, trainings, sources = find_methods(), find_trainings(), find_sources()
+    named = {entry.method for entry in method_entries(config)}
+    trained = {entry.training.partition("/")[0] for entry in method_entries(config)}
+    check_imports(
+        modules[name]
+        for modules, names in (
+            (methods, named),
+            (trainings, {*config["trainings"], *trained}),
+            (sources, {dataset["source"] for dataset in config["datasets"].values()}),
+        )
+        for name in sorted(names & modules.keys())
+    )
+
+
+def _check_poses(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
+    """Shifts, angles and levels name files, by the six digits that `g` writes of them."""
+    for key in POSES:
+        values: Any = config
+        for part in key:
+            values = values.get(part, ())
+        named: dict[str, float] = {}
+        for value in values:
+            other = named.setdefault(f"{value:g}", value)
+            if other is not value:
+                raise GeoEvsError(
+                    f"{locate(key, origins)}: '{'.'.join(key)}' has {other!r} and {value!r}, whose "
+                    "files would overwrite each other; choose values that differ in their first "
+                    "six digits"
+                )
 
 
 def _check_masks(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:

@@ -1,8 +1,10 @@
 """How often a step was tried, so that a fault of the machine is no method's fault for ever.
 
-An outcome on disk has the number of its `attempt`, which the step was told. A fault of the machine
-writes the next odd one instead: the workflow tells the step what the file says, finds another
-number than the last time, and runs the step again. Then the number is odd already and stays.
+An outcome on disk has the number of its `attempt`. The step is told that number when it runs again,
+and runs again when half of it, rounded down, is another than the last time. An odd number says that
+the last try ended by a fault of the machine. So the first such fault writes the next odd number but
+one, which is tried again; one that follows it writes the number that it was told, which is not; and
+any other end writes the even number below, after which a fault is a first one again.
 A step that ran out of time is tried again when its limit has changed.
 """
 
@@ -13,7 +15,7 @@ from typing import Any
 
 
 def next_attempt(files: Iterable[Path], limits: Mapping[str, float | None]) -> int:
-    """The number of the attempt that outcomes on disk ask for; another than theirs is a rerun.
+    """The number that a step is told by the outcomes on disk; another half of it is a rerun.
 
     Args:
         files: with outcomes; missing and damaged ones count as none.
@@ -31,10 +33,19 @@ def next_attempt(files: Iterable[Path], limits: Mapping[str, float | None]) -> i
 def attempt_after(attempt: int, machine_fault: bool) -> int:
     """The number that a step writes which was told `attempt`.
 
-    >>> attempt_after(0, False), attempt_after(0, True), attempt_after(1, True)
-    (0, 1, 1)
+    >>> attempt_after(0, False), attempt_after(0, True), attempt_after(3, True)
+    (0, 3, 3)
+    >>> attempt_after(3, False), attempt_after(2, True)
+    (2, 5)
     """
-    return attempt | 1 if machine_fault else attempt
+    if not machine_fault:
+        return attempt - attempt % 2
+    return attempt if attempt % 2 else attempt + 3
+
+
+def attempt_file(out: Path) -> Path:
+    """Where the number of a step's attempt stands whose output is one file, and no outcome."""
+    return out.with_name(f"{out.name}.attempt.json")
 
 
 def _outcomes(file: Path) -> Iterator[dict[str, Any]]:

@@ -5,6 +5,7 @@ import fcntl
 import io
 import json
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -22,6 +23,9 @@ from geoevs.core.text import clean
 
 MAX_JSON_BYTES = 256 * 2**20
 """Most bytes of a JSON file; the largest of a run, a scene's targets, has a thousandth."""
+
+SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+"""How JSON writes half of a letter beyond 16 bits."""
 
 MAX_ARRAY_BYTES = 4 * 2**30
 """Most bytes that the arrays of a file may unpack to; a scene's largest are a hundredth."""
@@ -135,15 +139,28 @@ def new_folder(path: Path) -> Iterator[Path]:
         with _explain_write_failure(path):
             temporary = stack.enter_context(_temporary_folder(path))
             made = temporary.stat()
-        yield temporary
-        if not (temporary.exists() and os.path.samestat(temporary.stat(), made)):
-            raise FolderRemovedError(
-                f"the folder that was to become {path} was removed while it was filled; do not "
-                "clear a run's folder while it runs, and start it again"
-            )
+        with _kept(temporary, made, path):
+            yield temporary
         with _explain_write_failure(path):
             temporary.chmod(0o777 & ~_UMASK)
             _replace_folder(temporary, path)
+
+
+@contextmanager
+def _kept(folder: Path, made: os.stat_result, path: Path) -> Iterator[None]:
+    """Refuse a folder that is another one after the block, whether or not that ended well."""
+    failure = None
+    try:
+        yield
+    except (GeoEvsError, OSError) as error:
+        failure = error
+    if not (folder.exists() and os.path.samestat(folder.stat(), made)):
+        raise FolderRemovedError(
+            f"the folder that was to become {path} was removed while it was filled; do not clear a "
+            "run's folder while it runs, and start it again"
+        ) from failure
+    if failure is not None:
+        raise failure
 
 
 def _replace_folder(new: Path, path: Path) -> None:
@@ -205,6 +222,8 @@ def _temporary_folder(path: Path) -> Iterator[Path]:
     finally:
         os.close(handle)
         shutil.rmtree(name, ignore_errors=True)
+        with suppress(OSError):  # what stands there in its place
+            os.unlink(name)
 
 
 def _lock(handle: int, name: str) -> bool:
@@ -254,7 +273,8 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        GeoEvsError: the file is missing, is not JSON, or is larger than MAX_JSON_BYTES.
+        GeoEvsError: the file is missing, is not JSON, has a key twice in one object or half a
+            letter, or is larger than MAX_JSON_BYTES.
     """
     path = check_file(path)
     if path.stat().st_size > MAX_JSON_BYTES:
@@ -262,13 +282,26 @@ def read_json(path: Path) -> Any:
             f"{path} has more than {MAX_JSON_BYTES // 2**20} MiB; restore or remake it"
         )
     try:
-        return json.loads(path.read_bytes().decode("utf-8-sig"))
+        text = path.read_bytes().decode("utf-8-sig")
+        value = json.loads(text, object_pairs_hook=_object)
+        if SURROGATE.search(text):  # half a letter is none, and can be written nowhere
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
     except OSError as error:
         raise GeoEvsError(f"{path} cannot be read ({error.strerror}); mend its rights") from error
     except (ValueError, RecursionError) as error:  # UnicodeDecodeError among them
         raise GeoEvsError(
             f"{path} is not valid JSON ({clean(str(error))}); restore or remake it"
         ) from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in made if names.count(name) > 1)
+        raise ValueError(f"'{twice}' stands there twice")
+    return made
 
 
 @contextmanager
@@ -362,6 +395,10 @@ def decode_image(file: Path | io.BytesIO, where: Path | str) -> np.ndarray:
                     f"{where} has {image.height} x {image.width} pixels, more than any camera; "
                     "make it smaller"
                 )
+            image.verify()  # a PNG's checksums, which decoding leaves out
+        if isinstance(file, io.BytesIO):
+            file.seek(0)
+        with Image.open(file, formats=("PNG", "JPEG")) as image:
             return _rgb(ImageOps.exif_transpose(image), where)
     except GeoEvsError:
         raise

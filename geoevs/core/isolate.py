@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from typing import Any
 from geoevs.core import supervise
 from geoevs.core.code_hash import PACKAGES
 from geoevs.core.errors import GeoEvsError, reason_of
+from geoevs.core.files import FolderRemovedError, new_folder
 from geoevs.core.text import clean
 
 LOG_BYTES = 20_000_000
@@ -135,6 +136,21 @@ def run_isolated(
     except MethodFailedError as failure:
         failure.part = (report or {}).get("part", "")
         raise
+
+
+@contextlib.contextmanager
+def lent_folder(path: Path) -> Iterator[Path]:
+    """A `new_folder` for a step to fill; if it removes that, it has failed.
+
+    Raises:
+        MethodFailedError: it was removed, whatever stands in its place.
+        GeoEvsError: see `new_folder`.
+    """
+    try:
+        with new_folder(path) as folder:
+            yield folder
+    except FolderRemovedError as error:
+        raise MethodFailedError("the folder that it was given was removed") from error
 
 
 def absolute_paths(options: Mapping[str, Any]) -> dict[str, Any]:

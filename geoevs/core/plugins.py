@@ -1,11 +1,18 @@
 """Finding data sources and methods by the name of their folder, with no list to edit."""
 
 import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+import select
+import signal
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from geoevs.core.errors import GeoEvsError, did_you_mean, reason_of
+
+IMPORT_SECONDS = 60.0
+"""How long importing one plugin may take; none of the suite's takes one second."""
 
 
 def find_plugins(file: str, *packages: str) -> dict[str, str]:
@@ -29,6 +36,53 @@ def find_plugins(file: str, *packages: str) -> dict[str, str]:
                     )
                 modules[name] = f"{package}.{folder}.{file}"
     return modules
+
+
+def check_imports(modules: Iterable[str]) -> None:
+    """Import plugins in a copy of this process, to see whether one of them would end this one.
+
+    What they raise is not looked at, nor those that are here already.
+
+    Raises:
+        GeoEvsError: one ended the copy, or took more than IMPORT_SECONDS; the sentence names its
+            file.
+    """
+    new = [module for module in dict.fromkeys(modules) if module not in sys.modules]
+    if not new:
+        return
+    done, done_to = os.pipe()
+    copy = os.fork()
+    if copy == 0:
+        try:
+            _import_all(new, done_to)
+        finally:
+            os._exit(0)
+    os.close(done_to)
+    try:
+        for module in new:
+            in_time = select.select([done], [], [], IMPORT_SECONDS)[0]
+            if in_time and os.read(done, 1):
+                continue
+            how = "ends" if in_time else f"occupies for more than {IMPORT_SECONDS:g} s"
+            raise GeoEvsError(
+                f"{module.replace('.', '/')}.py {how} the process that imports it; let it do "
+                "nothing when it is imported"
+            )
+    finally:
+        os.close(done)
+        os.kill(copy, signal.SIGKILL)
+        os.waitpid(copy, 0)
+
+
+def _import_all(modules: Iterable[str], done: int) -> None:
+    """Import modules without input or output; a byte goes to `done` after each."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        os.dup2(nothing, stream)
+    for module in modules:
+        with suppress(BaseException):
+            importlib.import_module(module)
+        os.write(done, b".")
 
 
 @contextmanager

@@ -55,7 +55,10 @@ def trained_seconds(networks: Path) -> float | None:
     if not path.exists():
         return None
     with whole_file(path):
-        return math.fsum(read_json(path).values())
+        seconds = list(read_json(path).values())
+        if not all(type(value) in (int, float) and 0 <= value < 2**63 for value in seconds):
+            raise ValueError("it says something else than seconds")
+        return math.fsum(seconds)
 
 
 def link_trained(folder: Path, copy: Path) -> None:

@@ -12,10 +12,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from geoevs.core.attempts import attempt_after
+from geoevs.core.attempts import attempt_after, attempt_file
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import link_file, new_folder, write_json
-from geoevs.core.isolate import MACHINE, MethodFailedError, absolute_paths, run_isolated
+from geoevs.core.isolate import (
+    MACHINE,
+    MethodFailedError,
+    absolute_paths,
+    lent_folder,
+    run_isolated,
+)
 from geoevs.core.settings import make_settings
 from geoevs.methods.finding import training_class
 from geoevs.methods.trained import (
@@ -80,7 +86,7 @@ def combine_files(
     try:
         _refuse_failures(files)
     except MethodFailedError as failure:
-        _write_failure(out, str(failure), attempt)
+        _write_failure(out, str(failure), attempt_after(attempt, False))
         return
     arguments = {"method": method, "files": _absolute(files)}
     _make_file(COMBINE_STEP, arguments, out, "combining", limit, attempt)
@@ -133,19 +139,17 @@ def train_method(
     }
     try:
         _refuse_failures([*files, *([inputs.combined] if inputs.combined else [])])
-        with new_folder(out) as partial:
+        with lent_folder(out) as partial:
             told, _ = run_isolated(
                 TRAIN_STEP, {**arguments, "out": str(partial.absolute())}, None, None, limit
             )
             seconds = {"training": float(told["seconds"])}
-            if not partial.is_dir():
-                raise MethodFailedError("train removed the folder that it was given")
             if geometry is not None:
                 link_file(geometry, partial / GEOMETRY_FILE)
                 seconds["geometry"] = trained_seconds(geometry) or 0.0
             write_json(seconds_file(partial), seconds)
             if attempt:
-                write_json(partial / ATTEMPT_FILE, {"attempt": attempt})
+                write_json(partial / ATTEMPT_FILE, {"attempt": attempt_after(attempt, False)})
     except MethodFailedError as failure:
         print(f"error: {failure}", file=sys.stderr)
         outcome: dict[str, Any] = {"reason": str(failure), "stage": "training"}
@@ -169,13 +173,16 @@ def _make_file(
 ) -> None:
     """Have an isolated step write a file, or write down why it could not."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.unlink(missing_ok=True)
+    for file in (out, attempt_file(out)):
+        file.unlink(missing_ok=True)
     try:
         run_isolated(step, {**arguments, "out": str(out.absolute())}, None, None, limit)
         if out.is_symlink() or not out.is_file():
             raise MethodFailedError("it wrote no file; write the path that it is given")
         if reason := failure_of(out):
             raise MethodFailedError(reason)
+        if attempt:
+            write_json(attempt_file(out), {"attempt": attempt_after(attempt, False)})
     except MethodFailedError as failure:
         print(f"error: {doing}: {failure}", file=sys.stderr)
         again = attempt_after(attempt, failure.kind == MACHINE)

@@ -6,6 +6,7 @@ from typing import Any
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
+from geoevs.core.names import check_name
 from geoevs.methods.contract import DEFAULT, ORACLES
 
 REFERENCE, TRUTH = ORACLES
@@ -91,13 +92,15 @@ def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:
     """The outcome of every set of sources, from `fit.json` or `render.json`.
 
     Raises:
-        GeoEvsError: the file is missing or of another shape.
+        GeoEvsError: the file is missing or of another shape, or names no set of sources.
     """
     outcomes = read_json(path)
     if not isinstance(outcomes, dict) or not all(map(_is_outcome, outcomes.values())):
         raise GeoEvsError(
             f"{path} does not say how each set of sources ended; delete its folder and rerun"
         )
+    for sources in outcomes:
+        check_name(sources, "set of sources", path)
     return outcomes
 
 

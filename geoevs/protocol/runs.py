@@ -13,9 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.attempts import attempt_after
-from geoevs.core.files import FolderRemovedError, new_folder, write_json
+from geoevs.core.files import new_folder, write_json
 from geoevs.core.hashes import file_hash
-from geoevs.core.isolate import MACHINE, MethodFailedError, Usage, absolute_paths, run_isolated
+from geoevs.core.isolate import (
+    MACHINE,
+    MethodFailedError,
+    Usage,
+    absolute_paths,
+    lent_folder,
+    run_isolated,
+)
 from geoevs.core.stamps import MADE_WITH, settings_hash
 from geoevs.core.text import clean
 from geoevs.methods.contract import ORACLES, Budget
@@ -68,7 +75,7 @@ def fit_method(
             model.mkdir(parents=True)
             if entry.method in ORACLES:
                 nothing = {"fit_seconds": 0.0, "bytes": 0, "masked": True}
-                threads = {"threads": budget.threads, "attempt": attempt}
+                threads = {"threads": budget.threads, "attempt": attempt_after(attempt, False)}
                 outcomes[sources] = {**FINE, **threads, **_memory(Usage(0, 0)), **nothing}
                 continue
             arguments = {
@@ -126,7 +133,7 @@ def render_method(
         for sources, fit in fits.items():
             fit = {key: value for key, value in fit.items() if key != "limit"}
             if fit["status"] == FAILED:
-                outcomes[sources] = {**fit, "attempt": attempt}
+                outcomes[sources] = {**fit, "attempt": attempt_after(attempt, False)}
                 continue
             step, read = RENDER_STEP, {"targets": targets, "masks": masks}
             read["model"] = model / sources / "model"
@@ -154,13 +161,13 @@ def _folder_of(
     """The folder that a stage fills, with its outcomes in it; a method may have removed it."""
     file = f"{stage}.json"
     try:
-        with new_folder(folder) as partial:
+        with lent_folder(folder) as partial:
             yield partial
             write_json(partial / file, outcomes)
-    except FolderRemovedError:
+    except MethodFailedError as failure:
         for outcome in outcomes.values():
             if outcome["status"] != FAILED:
-                outcome |= failed(stage, "the folder that it was given was removed", log)
+                outcome |= failed(stage, str(failure), log)
         with new_folder(folder) as partial:
             write_json(partial / file, outcomes)
 
@@ -186,7 +193,8 @@ def _attempt(
         outcome = {**failed(stage, str(failure), log), "threads": threads, **_memory(Usage(0, 0))}
         outcome["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
         return outcome if failure.limit is None else {**outcome, "limit": failure.limit}
-    return {**FINE, "threads": threads, "attempt": attempt, **_memory(usage), **told}
+    done = {**FINE, "threads": threads, "attempt": attempt_after(attempt, False)}
+    return {**done, **_memory(usage), **told}
 
 
 def _memory(usage: Usage) -> dict[str, int]:

@@ -9,7 +9,13 @@ from typing import Any
 from geoevs.core.attempts import attempt_after
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder, read_json, write_json
-from geoevs.core.isolate import MACHINE, MethodFailedError, absolute_paths, run_isolated
+from geoevs.core.isolate import (
+    MACHINE,
+    MethodFailedError,
+    absolute_paths,
+    lent_folder,
+    run_isolated,
+)
 from geoevs.core.text import clean
 from geoevs.protocol.entries import FAILED, FINE, OK, MethodEntry, failed
 from geoevs.protocol.pictures import PICTURES, seal_pictures
@@ -181,44 +187,65 @@ def render_stresses(
     log.unlink(missing_ok=True)
     limits = {"fit": None, "render": None, **(limits or {})}
     splits = None if scenes[0][0].stressor == CLEAN else ["extrapolation"]
-    with new_folder(folder) as partial:
-        arguments = {
-            "method": entry.method,
-            "options": absolute_paths(entry.options),
-            "stresses": [
-                {
-                    "key": stress.key,
-                    "scene": str(scene.absolute()),
-                    "seed": entry.seed + stress.draw,
-                }
-                for stress, scene in scenes
-            ],
-            "targets": str(targets.absolute()),
-            "splits": splits,
-            "masks": str(masks.absolute()),
-            "folder": str(partial.absolute()),
-            "log": str(log),
-            "limits": {stage: limits[stage] for stage in ("fit", "render")},
-            "attempt": attempt,
-        }
-        rest = failed("fit or render", "its process said nothing of it", log)
-        rest["attempt"] = attempt
-        try:
-            run_isolated(STABILITY_STEP, arguments, 1, log, limits["fit"])
-        except MethodFailedError as failure:  # the process died in one of them
-            rest = failed("fit or render", str(failure), log)
-            rest["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
-            if failure.limit is not None:
-                stage = next((n for n in ("fit", "render") if limits[n] == failure.limit), "fit")
-                rest |= {"stage": stage, "limit": failure.limit}
-        views = [t for t in read_targets(targets) if splits is None or t.split in splits]
-        for stress, _ in scenes:
-            place = partial / stress.key
-            outcome = _outcome(place / OUTCOME_FILE) or rest
-            if outcome["status"] == OK:
-                outcome = {**outcome, PICTURES: seal_pictures(place, views)}
-            place.mkdir(exist_ok=True)
-            write_json(place / OUTCOME_FILE, outcome)
+    try:
+        with lent_folder(folder) as partial:
+            _render_stresses(entry, scenes, targets, splits, masks, partial, log, limits, attempt)
+    except MethodFailedError as failure:
+        outcome = failed("fit or render", str(failure), log)
+        outcome["attempt"] = attempt_after(attempt, False)
+        with new_folder(folder) as partial:
+            for stress, _ in scenes:
+                write_json(partial / stress.key / OUTCOME_FILE, outcome)
+
+
+def _render_stresses(
+    entry: MethodEntry,
+    scenes: Sequence[tuple[Stress, Path]],
+    targets: Path,
+    splits: list[str] | None,
+    masks: Path,
+    folder: Path,
+    log: Path,
+    limits: Mapping[str, float | None],
+    attempt: int,
+) -> None:
+    """Fill the folder that a group's renders are to lie in."""
+    arguments = {
+        "method": entry.method,
+        "options": absolute_paths(entry.options),
+        "stresses": [
+            {
+                "key": stress.key,
+                "scene": str(scene.absolute()),
+                "seed": entry.seed + stress.draw,
+            }
+            for stress, scene in scenes
+        ],
+        "targets": str(targets.absolute()),
+        "splits": splits,
+        "masks": str(masks.absolute()),
+        "folder": str(folder.absolute()),
+        "log": str(log),
+        "limits": {stage: limits[stage] for stage in ("fit", "render")},
+        "attempt": attempt,
+    }
+    rest = failed("fit or render", "its process said nothing of it", log)
+    rest["attempt"] = attempt_after(attempt, False)
+    try:
+        run_isolated(STABILITY_STEP, arguments, 1, log, limits["fit"])
+    except MethodFailedError as failure:  # the process died in one of them
+        rest = failed("fit or render", str(failure), log)
+        rest["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
+        if failure.limit is not None:
+            stage = next((n for n in ("fit", "render") if limits[n] == failure.limit), "fit")
+            rest |= {"stage": stage, "limit": failure.limit}
+    views = [t for t in read_targets(targets) if splits is None or t.split in splits]
+    for stress, _ in scenes:
+        place = folder / stress.key
+        outcome = _outcome(place / OUTCOME_FILE) or rest
+        if outcome["status"] == OK:
+            outcome = {**outcome, PICTURES: seal_pictures(place, views)}
+        write_json(place / OUTCOME_FILE, outcome)
 
 
 def _outcome(path: Path) -> dict[str, Any] | None:

@@ -56,7 +56,7 @@ def stability_step(
                 shutil.copytree(certain[stress["scene"]], place)
                 continue
             place.mkdir()
-            outcome = {**FINE, "attempt": attempt}
+            outcome = {**FINE, "attempt": attempt_after(attempt, False)}
             stage = "fit"
             try:
                 begin_part(stage, limit=limits[stage])

@@ -38,6 +38,10 @@ TARGET_FIELDS = (
 """What stands in a file of a target besides its camera's calibration."""
 
 
+SHIFTS = (-1000.0, 1000.0)
+"""Metres that a view may lie beside its camera; configs may name no others."""
+
+
 @dataclass(frozen=True)
 class Target:
     """One view to synthesise.
@@ -263,10 +267,19 @@ def _target_from_json(entry: Any, path: Path) -> Target:
         frame=frame_number(entry["frame"], path),
         camera=camera_from_json(entry, name, path),
         sources=entry["sources"],
-        pose_offset=number(entry["pose_offset"], "a pose_offset", path),
-        lateral_shift=number(entry["lateral_shift"], "a lateral_shift", path),
+        pose_offset=_within(entry["pose_offset"], 0, 180, "a pose_offset", path),
+        lateral_shift=_within(entry["lateral_shift"], *SHIFTS, "a lateral_shift", path),
         mask_camera=masking,
     )
+
+
+def _within(value: Any, low: float, high: float, what: str, path: Path) -> float:
+    found = number(value, what, path)
+    if not low <= found <= high:
+        raise GeoEvsError(
+            f"{path}: {what} is {found:g}, not from {low:g} to {high:g}; make the file again"
+        )
+    return found
 
 
 def _check_fields(entry: Any, fields: Sequence[str], path: Path) -> None:

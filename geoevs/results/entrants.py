@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import pandas as pd
 
@@ -54,7 +54,7 @@ class Entrants:
         """
         found = read_json(path)
         try:
-            rows = {name: Info(*(clean(row[key]) for key in INFO)) for name, row in found.items()}
+            rows = {name: Info(*(_text(row[key]) for key in INFO)) for name, row in found.items()}
         except (AttributeError, KeyError, TypeError) as error:
             raise GeoEvsError(
                 f"{path} does not say who plays; delete it and make it again"
@@ -88,6 +88,12 @@ class Entrants:
         """The paper's name where it has one, else the method's own."""
         name = paper_method(method).get("name") or self._info(method, variant).name or method
         return name if variant == DEFAULT else f"{name} ({variant})"
+
+
+def _text(said: Any) -> str:
+    if not isinstance(said, str):
+        raise TypeError(said)
+    return clean(said)
 
 
 def _parted(name: str) -> tuple[str, str]:

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from geoevs import layout
 from geoevs.core.files import encode_png, read_image, to_uint8
 from geoevs.protocol.condition_masks import ConditionMask
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target
+from geoevs.results.run_folder import refuse_links_out
 from geoevs.results.table_specs import TableSpec, table_spec
 from geoevs.run import Answers
 
@@ -26,6 +28,9 @@ SUPPORTED = (45, 45, 45)
 VALID = (120, 220, 120)
 NEW = (255, 90, 60)
 REMOVED = NEW  # what reprojection has and the mask hides
+
+SHOWN = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.MASKS, layout.TRUTH)
+"""What a grid reads of a scene, besides renders."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +58,15 @@ def table_grid(
         labels: the entrants' labels, one column each.
         keeps: the shares of the reference, for the sparsity table's rows.
         count: show this many random targets, the same ones every time, in place of a few telling.
+
+    Raises:
+        GeoEvsError: there is no such table, a link leads out of the run, or a file is damaged.
     """
     spec = table_spec(table)
     places = [Answers(run, *place) for place in scenes]
+    for answers in places:
+        shown_files = [answers.path(pattern) for pattern in SHOWN]
+        refuse_links_out(run, [*shown_files, *map(answers.renders, labels)])
     targets = [
         [target for target in answers.targets if target.split in spec.splits] for answers in places
     ]

@@ -1,7 +1,7 @@
 """A run's folder that somebody else may have made: what lies in it, and what only seems to."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from geoevs.core.errors import GeoEvsError
@@ -33,17 +33,24 @@ def leads_out(entry: os.DirEntry[str], run: Path) -> bool:
         return True
 
 
-def refuse_links_out(run: Path) -> None:
+def refuse_links_out(run: Path, parts: Iterable[Path] | None = None) -> None:
     """Refuse a run whose files lie elsewhere, before they are shown to others as the run's.
+
+    Args:
+        run: the run's folder.
+        parts: files and folders of it, of which some may be missing; None: all of it.
 
     Raises:
         GeoEvsError: a link leads out of the run.
     """
-    for entry in entries(run):
-        if leads_out(entry, run):
+    for part in [run] if parts is None else parts:
+        out = not part.resolve().is_relative_to(run.resolve())
+        below = entries(part) if part.is_dir() and not out else ()
+        links = [str(part)] if out else (e.path for e in below if leads_out(e, run))
+        for path in links:
             raise GeoEvsError(
-                f"{printable(entry.path)} is a link that leads out of the run; put what it names "
-                "there, or delete it (a report holds no file from outside of its run)"
+                f"{printable(path)} is a link that leads out of the run; put what it names "
+                "there, or delete it (what is shown of a run lies in it)"
             )
 
 

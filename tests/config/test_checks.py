@@ -106,6 +106,21 @@ def merged(*texts: str) -> dict:
             r"config.yaml:\d+: there is no stressor 'suport'; did you mean 'support'",
         ),
         ("support: [0.02]", "support: [-1]", "-1 is too small; make it 0 or more"),
+        (
+            "lateral: [-1, 1]",
+            "lateral: [-1, 1.0000001, 1]",
+            r"config.yaml:13: 'protocol.lateral' has 1.0000001 and 1, whose files would overwrite",
+        ),
+        (
+            "masked: {yaw: [10]",
+            "masked: {yaw: [10, 10.0000001]",
+            r"config.yaml:16: 'protocol.masked.yaw' has 10 and 10.0000001, whose files",
+        ),
+        (
+            "support: [0.02]",
+            "support: [0.02, 0.020000001]",
+            r"'stability.levels.support' has 0.02 and 0.020000001, whose files would overwrite",
+        ),
         ("best: {inpaint: telea}", "worst: {}", "no 'reproject-inpaint.worst' under 'methods'"),
         ("{inpaint: telea}", "{paint: 1}", "'paint'"),
         ("best: {inpaint: telea}", "best: {}, reference: {}", "nothing that could be stressed"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from geoevs.config.files import MOST_BYTES, check_command_line, read_nodes
+from geoevs.config.files import check_command_line, read_nodes
 from geoevs.core.errors import GeoEvsError
 
 PROJECT = Path(__file__).parents[2]
@@ -116,8 +116,11 @@ BOMBS = {
     "brackets": ("a: " + "[" * 3000, ":1: sections and lists lie 31 deep here"),
     "braces": ("{a: " * 3000, ":1: sections and lists lie 31 deep here"),
     "steps": ("".join(f"{' ' * n}a:\n" for n in range(300)), ":31: sections and lists lie 31 d"),
-    "a long file": ("a: 1\n" * 100_000, " has 500,000 bytes; a config has 50,000 at most"),
-    "many keys": ("a: 1\n" * (MOST_BYTES // 5), ":2: 'a' stands in line 1 already"),
+    "a long file": ("a: 1\n" * 100_000, " has 500,000 bytes; a config has 300,000 at most"),
+    "many values": (f"b: 1\na: [{'x,' * 140_000}]", ":2: a config has 50,000 values at most"),
+    "one long value": (f"a: {'x' * 290_000}\na: 2\n", ":2: 'a' stands in line 1 already"),
+    "a comment": (f"a: 1 #{'x' * 290_000}\na: 2\n", ":2: 'a' stands in line 1 already"),
+    "many lines": ("#\n" * 140_000 + "a: 1\na: 1\n", ":140002: 'a' stands in line 140001"),
 }
 
 
@@ -166,13 +169,20 @@ def test_the_shipped_files_pass(path):
     read_nodes(path)
 
 
+def test_all_segments_of_waymo_fit_twice(tmp_path):
+    path = tmp_path / "over.yaml"
+    names = [f"segment-{n:020}_6380_000_6400_000_with_camera_labels@0-198" for n in range(2 * 1150)]
+    path.write_text(f"train: [{', '.join(names)}]\n")
+    read_nodes(path)
+
+
 def test_what_is_no_file_is_said(tmp_path):
     (tmp_path / "smoke.yaml").write_text("a: 1\n")
     os.mkfifo(tmp_path / "fifo.yaml")
     for name, sentence in {
         "smok.yaml": r"there is no config file .*/smok.yaml; did you mean 'smoke.yaml'\?",
-        "fifo.yaml": r".*/fifo.yaml is no regular file",
-        ".": r".* is a folder; name a config file in it",
+        "fifo.yaml": r".*/fifo.yaml is a pipe or a device, not a file",
+        ".": r".* is a folder, not a file",
         "gone/over.yaml": r"there is no config file .*; there is no config in its folder",
     }.items():
         with pytest.raises(GeoEvsError, match=f"^{sentence}"):

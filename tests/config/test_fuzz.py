@@ -5,6 +5,7 @@
 
 import copy
 import json
+import re
 import tempfile
 import time
 from pathlib import Path
@@ -22,6 +23,9 @@ from geoevs.config.files import read_nodes
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
+from geoevs.methods.finding import find_methods
+from geoevs.protocol.stressors import STRESSORS
+from tests.fuzzing import MISSING, count, number, sound_json, text, whole
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
@@ -63,7 +67,148 @@ VALUES = st.recursive(
 )
 
 
-def try_config(text: str | bytes) -> str:
+METHODS = {"reference", "truth", *find_methods()}
+TRAININGS = {"default", "v1", "v2", "v2-unmatched", "v3"}
+SHIFT, ANGLE, SHARE = number(-1000, 1000), number(0, 180), number(0, 1)
+ABOVE_0 = 1e-300
+OPTIMISATION = {
+    **dict.fromkeys(("steps", "batch"), whole(1, 10**9)),
+    "learning_rate": number(ABOVE_0, 1000),
+}
+
+
+def list_of(rule, least=0):
+    """Whether a value is a list of different values that a rule allows."""
+
+    def holds(value):
+        if not (isinstance(value, list) and len(value) >= least and all(map(rule, value))):
+            return False
+        return len(set(map(str, value))) == len(value)
+
+    return holds
+
+
+def or_none(rule):
+    return lambda value: value is None or rule(value)
+
+
+def one_of(*words):
+    return lambda value: text(value) and value in words
+
+
+def named(names, rule):
+    """Whether what has such a name is what a rule allows."""
+    return lambda value, old, key: key in names and rule(value)
+
+
+def section_of(*keys):
+    return lambda value: isinstance(value, dict) and set(value) <= set(keys) and finite(value)
+
+
+def finite(value):
+    """Whether all numbers in a value are finite, and none has hundreds of digits."""
+    if isinstance(value, (dict, list)):
+        return all(map(finite, value.values() if isinstance(value, dict) else value))
+    return number()(value) or not isinstance(value, (int, float)) or isinstance(value, bool)
+
+
+def like(value, old):
+    """Whether an option or a setting is of the same kind as before; a new one has any."""
+    if old is MISSING or old is None or value is None:
+        return finite(value)
+    same = type(value) is type(old) or (type(old) is float and type(value) is int)
+    return same and (not isinstance(value, (int, float)) or number(0)(value))
+
+
+def scene(value):
+    kinds = r"(straight|curve|junction)-[0-9]+(@[0-9]+-[0-9]+|\.\.[0-9]+)?"
+    return text(value) and re.fullmatch(kinds, value) is not None
+
+
+def training(value):
+    return text(value) and value.split("/")[-1] in TRAININGS
+
+
+def each(place, rule, least=1):
+    """A list of such values at a place, and each of them."""
+    return {place: list_of(rule, least), (*place, "*"): rule}
+
+
+RULES = {
+    ("run",): lambda value: text(value) and re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,59}", value),
+    ("seed",): whole(0, 2**32 - 1),
+    **each(("resolution",), whole(16, 8192), 2),
+    **each(("evaluate",), one_of("street", "street-stability")),
+    ("datasets", "*", "source"): one_of("street", "pandaset"),
+    **each(("datasets", "*", "partitions", "*", "?"), scene, 0),
+    ("datasets", "*", "options", "*", "?"): like,
+    ("datasets", "*"): section_of("source", "options", "partitions"),
+    ("weights",): lambda value: text(value) and 0 < len(value) <= 1000 and value.isprintable(),
+    ("geometry", "model"): one_of("lidar", "vggt-nano", "vggt-1b", "depth-anything-3"),
+    ("geometry", "weights"): or_none(text),
+    ("geometry", "supervision"): one_of("dense", "lidar"),
+    ("geometry", "finetune"): or_none(section_of(*OPTIMISATION)),
+    **{("geometry", "finetune", key): rule for key, rule in OPTIMISATION.items()},
+    **{("pretrain", "*", key): rule for key, rule in OPTIMISATION.items()},
+    **each(("conditions", "masks", "yaw"), SHARE),
+    **each(("conditions", "masks", "lateral"), SHIFT),
+    ("trainings", "geo-evs", ..., "?"): like,
+    ("trainings", "freevs", ..., "?"): like,
+    **each(("protocol", "lateral"), SHIFT),
+    **each(("protocol", "pose_sweep", "angles"), ANGLE, 0),
+    **each(("protocol", "masked", "yaw"), ANGLE),
+    **each(("protocol", "masked", "lateral"), SHIFT),
+    **{("protocol", part, "every"): whole(1, 10**6) for part in ("pose_sweep", "masked")},
+    **each(("protocol", "reference_keep"), number(ABOVE_0, 1)),
+    ("budget", "fit_seconds"): or_none(number(ABOVE_0, 10**9)),
+    ("budget", "limits", "*"): or_none(number(ABOVE_0, 10**15)),
+    ("methods", "*", "options", "*", "?"): like,
+    ("methods", "*", "options", "?"): finite,
+    ("methods", "*", "training", "?"): training,
+    ("methods", "*", "seeds", "?"): list_of(whole(0, 2**31 - 1), 1),
+    ("methods", "*"): lambda value, old, key: (
+        key.split(".")[0] in METHODS and or_none(section_of("options", "training", "seeds"))(value)
+    ),
+    ("stability", "datasets"): list_of(lambda value: text(value) and value in DEFAULTS["datasets"]),
+    ("stability", "datasets", "*"): lambda value: text(value) and value in DEFAULTS["datasets"],
+    ("stability", "seeds"): whole(1, 1000),
+    **each(("stability", "lateral"), SHIFT),
+    ("stability", "levels", "*", "*"): number(0, 10**6),
+    ("stability", "levels", "*"): named(STRESSORS, list_of(number(0, 10**6))),
+    ("stability", "methods", "*"): named(
+        DEFAULTS["methods"].keys() - {"reference", "truth"},
+        lambda value: value is None or (isinstance(value, dict) and finite(value)),
+    ),
+    ("stability", "methods", "*", "*", ..., "?"): like,
+    ("tables", "ablation"): lambda value: text(value) and value in METHODS,
+    **each(("tables", "pose_bins"), number(-(10**6), 10**6), 2),
+    **each(("tables", "support_bins"), number(-(10**6), 10**6), 2),
+    ("tables", "resamples"): whole(100, 10**6),
+    ("tables", "confidence"): number(ABOVE_0, 1 - 1e-16),
+}  # fmt: skip
+"""What may stand in a config, by its place; written down by hand, and not by its schema."""
+
+
+def is_sound(text: str | bytes, before: str) -> bool:
+    """Whether an overlay, as a plain reader reads it, makes a config that can be.
+
+    Args:
+        text: the overlay.
+        before: what it was made from, which is sound.
+    """
+    try:
+        merged = []
+        for overlay in (before, text):
+            config = copy.deepcopy(DEFAULTS)
+            if overlay:
+                update_config(config, yaml.safe_load(overlay))
+            merged.append(config)
+        return sound_json(*merged, RULES)
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError):
+        return False
+
+
+def try_config(text: str | bytes, before: str = "") -> str:
     """What is said of the default config under an overlay; nothing if it is accepted."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -83,6 +228,9 @@ def try_config(text: str | bytes) -> str:
         else:
             use(config)
     assert time.monotonic() - begun < 10
+    sound = is_sound(text, before)
+    count("configs", sound, bool(said))
+    assert sound or said, "what is broken was used"
     return said
 
 
@@ -132,10 +280,11 @@ PIECES = st.sampled_from(
     edits=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 30), PIECES), max_size=4),
 )
 def test_any_slip_of_the_keyboard(text, edits):
+    before = text
     for place, cut, piece in edits:
         at = int(place * len(text))
         text = text[:at] + piece + text[at + cut :]
-    try_config(text)
+    try_config(text, before)
 
 
 @few

@@ -104,3 +104,54 @@ def test_a_mistake_is_placed_where_snakemake_takes_the_value_from(tmp_path):
         )
         value, own, names = json.loads(re.search(r"FOUND (.*)", run.stdout + run.stderr)[1])
         assert files[merge_order(own, names)[-1].name] == value, given
+
+
+STEP = """
+import json, sys
+from pathlib import Path
+from geoevs.core.attempts import attempt_after
+told, out = int(sys.argv[1]), Path(sys.argv[2])
+Path("runs").open("a").write(f"{told} ")
+fault = Path("fault").exists()
+out.mkdir()
+out.joinpath("fit.json").write_text(json.dumps({"a": {"attempt": attempt_after(told, fault)}}))
+"""
+
+
+def test_faults_of_the_machine_in_succession_have_one_more_attempt(tmp_path):
+    (tmp_path / "step.py").write_text(STEP)
+    (tmp_path / "Snakefile").write_text(
+        "from pathlib import Path\n"
+        "LIMITS = {}\n"
+        "in_run = str\n"
+        f'include: "{PROJECT}/workflow/rules/attempts.smk"\n'
+        "rule all:\n"
+        '    input: "models/x"\n'
+        "rule fit:\n"
+        '    output: directory("models/{label}")\n'
+        "    params:\n"
+        '        attempt=attempt("models/{label}", "fit.json"),\n'
+        '        told=told("fit.json"),\n'
+        '        other=Path("other").read_text(),\n'
+        f'    shell: "{sys.executable} step.py {{params.told}} {{output}}"\n'
+    )
+
+    def runs(fault: bool, other: str = "0") -> list[int]:
+        """What the step is told in one call of snakemake, if it is run at all."""
+        for name, there in (("fault", fault), ("other", True)):
+            (tmp_path / name).unlink(missing_ok=True)
+            if there:
+                (tmp_path / name).write_text(other)
+        (tmp_path / "runs").write_text("")
+        command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", "all"]
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+        return [int(told) for told in (tmp_path / "runs").read_text().split()]
+
+    assert runs(fault=True) == [0]
+    assert runs(fault=True) == [3]  # the next call tries again
+    assert runs(fault=True) == []  # and the second in succession stays
+    assert runs(fault=False, other="1") == [3]  # until something else changes
+    assert runs(fault=False, other="1") == []
+    assert runs(fault=True, other="2") == [2]  # long after the first
+    assert runs(fault=False, other="2") == [5]
+    assert runs(fault=False, other="2") == []

@@ -2,8 +2,9 @@ import sys
 
 import pytest
 
+from geoevs.core import plugins
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
+from geoevs.core.plugins import check_imports, find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
 
 
@@ -46,6 +47,33 @@ def test_whatever_a_module_raises_becomes_one_sentence(packages):
     sentence = r"^one/broken/adapter.py cannot be read \(RuntimeError: imported\); mend it$"
     with pytest.raises(GeoEvsError, match=sentence), one_sentence("one/broken/adapter.py"):
         load_plugin("method", "broken", packages, "Method")
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("import os; os._exit(0)", "ends"),
+        ("import os; os.kill(os.getpid(), 9)", "ends"),
+        ("import time; time.sleep(600)", "occupies for more than 2 s"),
+        ("input(); raise ValueError; print('said')", None),
+        ("import sys; sys.exit(3)", None),
+        ("import os; os.write(1, b'said')", None),
+    ],
+)
+def test_what_ends_its_process_when_imported_is_named(
+    packages, tmp_path, monkeypatch, capfd, line, what
+):
+    (tmp_path / "two" / "last").mkdir()
+    (tmp_path / "two" / "last" / "adapter.py").write_text(line)
+    monkeypatch.setattr(plugins, "IMPORT_SECONDS", 2.0)
+    modules = [*packages.values(), "two.last.adapter"]
+    if what is None:
+        check_imports(modules)
+    else:
+        with pytest.raises(GeoEvsError, match=f"^two/last/adapter.py {what} the process that impo"):
+            check_imports(modules)
+    assert capfd.readouterr() == ("", "")
+    assert not sys.modules.keys() & set(modules)
 
 
 def test_loading_gives_the_class(packages):

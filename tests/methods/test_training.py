@@ -10,6 +10,7 @@ import yaml
 import baselines
 from geoevs.conditions.trial import check_method, trial_inputs
 from geoevs.config.checks import check_config
+from geoevs.core.attempts import attempt_file
 from geoevs.core.code_hash import code_hash
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
@@ -91,6 +92,10 @@ BROKEN = {
         ("import numpy as np\n", "import sys\n\nimport numpy as np\n\nsys.exit(3)\n"),
         "cannot be read (SystemExit: 3); mend it",
     ),
+    "an end of the process without a word": (
+        ("import numpy as np\n", "import os\n\nimport numpy as np\n\nos._exit(0)\n"),
+        "/training.py ends the process that imports it; let it do nothing when it is imported",
+    ),
     "a setting that is the section's own word": (
         ("    steps: Count = 200\n", "    steps: Count = 200\n    variants: int = 3\n"),
         "'variants' are trainings by name in every section; rename the setting",
@@ -158,6 +163,26 @@ def test_a_training_may_raise_anything(trained, tmp_path, capsys):
     assert "error: RuntimeError: out of luck" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "shutil.rmtree(out)",
+        "shutil.rmtree(out); out.mkdir(); (out / 'networks').touch()",
+        "shutil.rmtree(out); out.touch()",
+        "out.rename(out.with_name('mine')); out.mkdir()",
+    ],
+)
+def test_a_training_may_do_anything_to_its_folder(trained, tmp_path, lines):
+    method = trained(
+        ("        parts = [", f"        import shutil; {lines}; return\n        parts = [")
+    )
+    train_method(method, {}, [], Inputs(), 0, tmp_path / "work", tmp_path / "outs/out")
+    reason = read_json(tmp_path / "outs/out/failure.json")["reason"]
+    assert reason == "the folder that it was given was removed"
+    left = {path.name for path in (tmp_path / "outs").iterdir()}
+    assert left - {"mine"} == {"out"}
+
+
 # Lines of `prepare` that break it, and the reason that reaches the entrants.
 UNPREPARED = {
     "raises": ('raise KeyError("no colours")', "KeyError: 'no colours' (while preparing scene)"),
@@ -177,13 +202,22 @@ def test_what_cannot_be_prepared_fails_the_training_alone(trained, tmp_path, kin
     limit = 3.0 if kind == "hangs" else None
     prepare_scene(method, scene.folder, Inputs(), tmp_path / "prepared.npz", limit)
     told = read_json(tmp_path / "prepared.npz")
-    assert told["attempt"] == (kind == "no memory")
+    assert told["attempt"] == (3 if kind == "no memory" else 0)
     assert told.get("limit") == limit
     train = (method, {}, [tmp_path / "prepared.npz"], Inputs(), 0, tmp_path / "w", tmp_path / "out")
     train_method(*train)
     failure = read_json(tmp_path / "out/failure.json")
     assert reason in failure["reason"]
     assert failure["attempt"] == 0  # that of the preparation counts
+
+
+def test_a_file_that_was_prepared_at_last_says_which_attempt_it_was(trained, tmp_path):
+    method, out = trained(), tmp_path / "prepared.npz"
+    scene = write_tiny_scene(tmp_path / "scene")
+    for attempt, written in ((0, None), (3, 2), (2, 2), (0, None)):
+        prepare_scene(method, scene.folder, Inputs(), out, attempt=attempt)
+        mark = attempt_file(out)
+        assert (read_json(mark)["attempt"] if mark.exists() else None) == written
 
 
 def test_a_training_at_its_limit_goes_on_to_the_same_bytes(trained, tmp_path):

@@ -293,7 +293,7 @@ def test_a_method_that_misbehaves_is_rows_of_its_own(tried, name):
         assert set(scores["status"]) <= {"ok", "unavailable", "empty-mask"}
     file = {"fit": layout.MODEL + "/fit.json"}.get(ending, layout.RENDERS + "/render.json")
     told = read_json(tried.run / file.format(dataset="d", scene="s", label=name))["front-side"]
-    assert told["attempt"] == told["reason"].startswith("machine:")
+    assert told["attempt"] == (3 if told["reason"].startswith("machine:") else 0)
     if hangs[0]:  # what hangs while it renders was fitted before, which may take longer
         assert LIMIT <= took < LIMIT + LATE
     for log in tried.root.glob(f"{name}.*.log"):

@@ -245,7 +245,7 @@ def test_other_missing_files_are_named(pandaset, file, reason):
         (lambda s: s | {"x": np.array([1, np.nan, np.inf])}, "2 of 3 points"),
         (lambda s: s | {"z": np.array([1, 1, 1e300])}, "1 of 3 points"),
         (lambda s: s | {"d": np.array([0, 1, 2])}, "neither 0 nor 1"),
-        (lambda s: s | {"y": np.array(["a", "b", "c"], object)}, "text where numbers belong"),
+        (lambda s: s | {"y": np.array(["a", "b", "c"], object)}, "something else than numbers"),
         (lambda s: {label: s[label] for label in "xyz"}, "no column 'd'"),
     ],
 )
@@ -264,7 +264,7 @@ def test_bad_sweeps_are_named_with_their_count(pandaset, pandaset_files, edit, r
     [
         (lambda c: c | {"yaw": np.array([0, np.nan, 0, 0])}, "1 boxes"),
         (lambda c: {k: v for k, v in c.items() if k != "uuid"}, "no column 'uuid'"),
-        (lambda c: c | {"yaw": np.array(["north"] * 4, object)}, "text where numbers belong"),
+        (lambda c: c | {"yaw": np.array(["north"] * 4, object)}, "something else than numbers"),
         (lambda c: c | {"dimensions.y": np.zeros(4)}, "'length' of 4 boxes is no side of a box"),
         (lambda c: c | {"dimensions.x": -c["dimensions.x"]}, "'width' of 4 boxes"),
         (lambda c: c | {"dimensions.z": np.array([1, 1, 1, 500.0])}, "'height' of 1 boxes"),

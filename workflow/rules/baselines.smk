@@ -21,11 +21,12 @@ rule fit:
         settings=fit_arguments,
         outside=lambda wildcards: outside_files(**wildcards),
         attempt=attempt(layout.MODEL, "fit.json"),
+        told=told("fit.json"),
         code=method_code("fit"),
     shell:
         "geoevs --log {log[0]:q} fit {params.entry} {params.settings} --scene {input.scene:q}"
         " --targets {input.targets:q} --threads {threads} --method-log {log.method:q}"
-        " --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.told} --out {output:q}"
 
 
 rule render:
@@ -47,9 +48,10 @@ rule render:
         answers=oracle_arguments,
         outside=lambda wildcards: outside_files(**wildcards),
         attempt=attempt(layout.RENDERS, "render.json"),
+        told=told("render.json"),
         code=method_code("render"),
     shell:
         "geoevs --log {log[0]:q} render --method {params.method} --model {input.model:q}"
         " --targets {input.targets:q} --masks {input.masks:q} {params.answers}"
-        " --method-log {log.method:q} --attempt {params.attempt}"
+        " --method-log {log.method:q} --attempt {params.told}"
         " --out {output:q}"

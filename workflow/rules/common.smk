@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 from geoevs import layout
-from geoevs.core.attempts import next_attempt
 from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
 from geoevs.config.entrants import method_entries, stability_entries
@@ -69,7 +68,7 @@ except GeoEvsError as mistake:
 # `geoevs` is the one beside this Python, whether or not its environment is activated.
 # Numba and OpenCV do not heed what Snakemake sets for other libraries, and their idle threads spin.
 # Limits of seconds are no params: another one concerns only what ran into the one before, which
-# `attempt` sees.
+# `attempt` sees (attempts.smk).
 LIMITS = config["budget"]["limits"]
 shell.prefix(
     f"export PATH={shlex.quote(str(Path(sys.executable).parent))}:$PATH;"
@@ -242,20 +241,6 @@ def method_code(step):
         return code_hash(
             f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", adapter
         )
-
-    return of
-
-
-def attempt(pattern, *outcomes):
-    """A function for `params`: the number of the attempt that outcomes in an output ask for.
-
-    After a fault of the machine it is another than the last time, so that the job runs again.
-    """
-
-    def of(wildcards):
-        output = Path(in_run(pattern).format(**wildcards))
-        files = [file for name in outcomes for file in output.glob(name)]
-        return next_attempt(files if outcomes else [output], LIMITS)
 
     return of
 

@@ -62,11 +62,12 @@ rule stability_render:
         entry=stability_arguments,
         options=lambda wildcards: method_options(STABILITY_ENTRIES, wildcards),
         attempt=attempt(layout.STABILITY_RENDERS, "*/outcome.json"),
+        told=told("*/outcome.json"),
         code=method_code("stability"),
     shell:
         "geoevs --log {log[0]:q} stability-render {input.scenes:q} {params.entry}"
         " --options {params.options:q} --targets {input.targets:q} --masks {input.masks:q}"
-        " --method-log {log.method:q} --attempt {params.attempt}"
+        " --method-log {log.method:q} --attempt {params.told}"
         " --out {output:q}"
 
 

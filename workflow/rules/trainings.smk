@@ -19,10 +19,11 @@ rule prepare:
     params:
         inputs=prepare_arguments,
         attempt=attempt(layout.PREPARED),
+        told=told(),
         code=training_code("prepare"),
     shell:
         "geoevs --log {log:q} prepare {wildcards.trainer} --scene {input.scene:q} {params.inputs}"
-        " --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.told} --out {output:q}"
 
 
 rule combine:
@@ -34,10 +35,11 @@ rule combine:
         in_run("logs/combine/{trainer}.log"),
     params:
         attempt=attempt(layout.COMBINED),
+        told=told(),
         code=training_code("combine"),
     shell:
         "geoevs --log {log:q} combine {wildcards.trainer} {input:q}"
-        " --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.told} --out {output:q}"
 
 
 rule train:
@@ -58,11 +60,12 @@ rule train:
         starts_from=starting_hashes,
         work=in_run(layout.TRAINING).format(network="{trainer}/{training}.seed{seed}"),
         attempt=attempt(layout.TRAINED, "failure.json", "attempt.json"),
+        told=told("failure.json", "attempt.json"),
         code=training_code("train"),
     shell:
         "geoevs --log {log:q} train {wildcards.trainer} {params.inputs}"
         " --settings {params.settings:q} --work {params.work:q} --seed {wildcards.seed}"
-        " --attempt {params.attempt} --out {output:q}"
+        " --attempt {params.told} --out {output:q}"
 
 
 rule mask_figure:

@@ -109,6 +109,32 @@ def test_links_that_lead_out_are_refused(folder, name):
         make_page(folder)
 
 
+GRID = ("grid", "extrapolation", "--scenes", "d/s", "--labels", "grey", "--keeps", "[1.0]")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("scenes/d/s/images/front/000000.png", "renders/d/s/grey/front/000000.png", "scenes/d/s"),
+        *("renders", "targets/d/s.json", "references/d/s.npz", "masks/d/s.npz", "truth/d"),
+    ],
+)
+def test_a_grid_shows_nothing_from_outside(folder, geoevs, name):
+    elsewhere, out = folder.parent / "elsewhere", folder.parent / "grid.png"
+    assert geoevs(*GRID, "--run", folder, "--out", out)[0] == 0
+    out.unlink()
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    if (folder / name).exists():
+        (folder / name).rename(elsewhere)
+    else:
+        elsewhere.touch()
+    (folder / name).symlink_to(elsewhere)
+    code, output, errors = geoevs(*GRID, "--run", folder, "--out", out)
+    assert (code, output, out.exists()) == (1, "", False)
+    assert "is a link that leads out of the run" in errors
+    assert errors.count("\n") == 1
+
+
 def test_a_picture_that_is_none_by_content_is_refused(folder):
     path = folder / "stability/thinning.png"
     path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\nshowpage\n")

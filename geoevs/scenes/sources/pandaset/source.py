@@ -29,7 +29,7 @@ from geoevs.scenes.sources.pandaset.calibration import (
     read_timestamp,
 )
 from geoevs.scenes.sources.pandaset.tracks import read_tracks
-from geoevs.scenes.sources.pandaset.unpickle import read_table
+from geoevs.scenes.sources.pandaset.unpickle import check_numbers, read_table
 
 RIG = Rig(
     front="front_camera",
@@ -206,10 +206,8 @@ def _read_sweep(path: Path, origin: tuple[float, float, float]) -> PointCloud:
     for column in ("x", "y", "z", "d"):
         if column not in table:
             raise GeoEvsError(f"{path} has no column '{column}'; download it again")
-    try:
-        xyz = table[["x", "y", "z"]].to_numpy(np.float64) - origin  # [N, 3]
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
+    check_numbers(table, ("x", "y", "z", "d"), path)
+    xyz = table[["x", "y", "z"]].to_numpy(np.float64) - origin  # [N, 3]
     good = (np.abs(xyz) <= WORLD_LIMIT).all(axis=1)  # NaN is not good either
     if not good.all():
         raise GeoEvsError(

@@ -10,7 +10,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.checks import check_tracks
 from geoevs.scenes.scene import TRACK_COLUMNS
 from geoevs.scenes.sources.conventions import mark_moving
-from geoevs.scenes.sources.pandaset.unpickle import read_table
+from geoevs.scenes.sources.pandaset.unpickle import check_numbers, read_table
 
 # Where PandaSet keeps each number; a box's y side is its length, its x side its width.
 NUMBERS = {
@@ -55,15 +55,14 @@ def _read_frame(folder: Path, frame: int, origin: tuple[float, float, float]) ->
     for column in COLUMNS:
         if column not in table:
             raise GeoEvsError(f"{path} has no column '{column}'; download it again")
-    try:
-        numbers = {name: table[column].to_numpy(np.float64) for name, column in NUMBERS.items()}
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GeoEvsError(f"{path} has text where numbers belong; download it again") from error
+    check_numbers(table, (*NUMBERS.values(), SENSOR), path)
+    numbers = {name: table[column].to_numpy(np.float64) for name, column in NUMBERS.items()}
     for name, metres in zip("xyz", origin, strict=True):
         numbers[name] = numbers[name] - metres
     for column, kind, what in (
         ("uuid", str, "text"),
         ("label", str, "text"),
+        (SIBLING, str, "text"),
         ("stationary", bool | np.bool_, "true or false"),
     ):
         if not all(isinstance(value, kind) for value in table[column]):

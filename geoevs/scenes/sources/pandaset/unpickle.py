@@ -12,6 +12,7 @@ import io
 import pickle
 import pickletools
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,19 @@ def read_table(path: Path) -> pd.DataFrame:
         raise GeoEvsError(
             f"{path} is not laid out as a PandaSet table; download it again"
         ) from error
+
+
+def check_numbers(table: pd.DataFrame, columns: Iterable[str], path: Path) -> None:
+    """Check that columns hold numbers, which texts and truth values are not.
+
+    Raises:
+        GeoEvsError: one does not; the sentence names the file and the column.
+    """
+    for column in columns:
+        if table[column].dtype.kind not in "iuf":
+            raise GeoEvsError(
+                f"{path} has something else than numbers in '{column}'; download it again"
+            )
 
 
 def _decompress(path: Path) -> bytes:
