@@ -24,6 +24,7 @@ container: "docker://python:3.11.13-bookworm"
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/attempts.smk"
+include: "workflow/rules/resources.smk"
 include: "workflow/rules/provenance.smk"
 include: "workflow/rules/scenes.smk"
 include: "workflow/rules/geometry.smk"
@@ -52,9 +53,10 @@ rule all:
 
 onstart:
     lock_run()
-    # No cluster's queue needs sparing, and the rate limiter of Snakemake 9.27 wakes the scheduler
-    # once more a second for every job done: a third of a core after 300, beside fits that are timed.
-    workflow.scheduler.job_rate_limiter = None
+    # Locally no queue needs sparing, and the rate limiter of Snakemake 9.27 wakes the scheduler once
+    # more a second for every job done: a third of a core after 300, beside fits that are timed.
+    if workflow.local_exec:
+        workflow.scheduler.job_rate_limiter = None
 
 
 onsuccess:

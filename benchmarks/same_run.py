@@ -33,7 +33,10 @@ ROWS = {
 }
 """Files of rows, and the columns that say what a row is of."""
 
-TIMED = ("seconds", "memory", "bytes", "fingerprint", "log", "note", "threads", "device")
+TIMED = (
+    *("seconds", "memory", "bytes", "fingerprint", "log", "note", "threads", "device"),
+    "timed_on",
+)
 """Parts of the names of columns that no two runs share, or that say how and not what."""
 
 NAMES = ("name", "paradigm", "extra_prior", "needs", "citation", "group")

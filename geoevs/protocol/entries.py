@@ -107,7 +107,8 @@ def read_outcomes(path: Path) -> dict[str, dict[str, Any]]:
 def _is_outcome(outcome: Any) -> bool:
     if not isinstance(outcome, dict) or not outcome.keys() >= OUTCOME:
         return False
-    texts = [outcome[name] for name in FINE] + [outcome.get("note", "")]
+    texts = [outcome[name] for name in FINE]
+    texts += [outcome.get(name, "") for name in ("note", "host", "cpu")]
     counts = [outcome[name] for name in NUMBERS if name in outcome]
     seconds = [value for name, value in outcome.items() if name.endswith("_seconds")]
     return (

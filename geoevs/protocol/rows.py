@@ -55,6 +55,8 @@ COST_TYPES = {
     "bytes": "int64",
     "device": "string",
     "threads": "int64",
+    "host": "string",
+    "cpu": "string",
     "note": "string",
     "status": "string",
     "stage": "string",

@@ -23,6 +23,7 @@ from geoevs.core.isolate import (
     lent_folder,
     run_isolated,
 )
+from geoevs.core.machine import machine
 from geoevs.core.stamps import MADE_WITH, settings_hash
 from geoevs.core.text import clean
 from geoevs.methods.contract import ORACLES, Budget
@@ -75,8 +76,8 @@ def fit_method(
             model.mkdir(parents=True)
             if entry.method in ORACLES:
                 nothing = {"fit_seconds": 0.0, "bytes": 0, "masked": True}
-                threads = {"threads": budget.threads, "attempt": attempt_after(attempt, False)}
-                outcomes[sources] = {**FINE, **threads, **_memory(Usage(0, 0)), **nothing}
+                done = _done(budget.threads, attempt_after(attempt, False), Usage(0, 0))
+                outcomes[sources] = {**FINE, **done, **nothing}
                 continue
             arguments = {
                 "scene": str(scene.absolute()),
@@ -146,7 +147,7 @@ def render_method(
             }
             rendered = _attempt("render", step, arguments, fit["threads"], log, limit, attempt)
             peak = {name: max(fit[name], rendered[name]) for name in ("peak_memory", "gpu_memory")}
-            outcomes[sources] = {**fit, **rendered, **peak}
+            outcomes[sources] = {**fit, **rendered, **peak, **_machines(fit, rendered)}
         for sources, outcome in outcomes.items():  # when nobody writes any more
             outcome[MADE_WITH] = {**fits[sources].get(MADE_WITH, {}), **made_with}
             if outcome["status"] != FAILED:
@@ -190,15 +191,22 @@ def _attempt(
         result, usage = run_isolated(step, arguments, threads, log, limit)
         told = _checked(result, usage)
     except MethodFailedError as failure:
-        outcome = {**failed(stage, str(failure), log), "threads": threads, **_memory(Usage(0, 0))}
-        outcome["attempt"] = attempt_after(attempt, failure.kind == MACHINE)
+        attempt = attempt_after(attempt, failure.kind == MACHINE)
+        outcome = failed(stage, str(failure), log) | _done(threads, attempt, Usage(0, 0))
         return outcome if failure.limit is None else {**outcome, "limit": failure.limit}
-    done = {**FINE, "threads": threads, "attempt": attempt_after(attempt, False)}
-    return {**done, **_memory(usage), **told}
+    return {**FINE, **told, **_done(threads, attempt_after(attempt, False), usage)}
 
 
-def _memory(usage: Usage) -> dict[str, int]:
-    return {"peak_memory": usage.peak_memory, "gpu_memory": usage.gpu_memory}
+def _done(threads: int, attempt: int, usage: Usage) -> dict[str, Any]:
+    """What the runner itself says of a step: nothing that a method told may stand for it."""
+    memory = {"peak_memory": usage.peak_memory, "gpu_memory": usage.gpu_memory}
+    return {"threads": threads, "attempt": attempt, **memory, **machine()}
+
+
+def _machines(fit: dict[str, Any], rendered: dict[str, Any]) -> dict[str, str]:
+    """The machine of a fit and its rendering; both, where they were made on different ones."""
+    said = {name: (fit.get(name, ""), rendered[name]) for name in ("host", "cpu")}
+    return {name: ", ".join(dict.fromkeys(filter(None, both))) for name, both in said.items()}
 
 
 def _checked(result: Any, usage: Usage) -> dict[str, Any]:

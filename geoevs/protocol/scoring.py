@@ -115,7 +115,7 @@ def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
         "load_seconds": math.nan,
         "warm_up_seconds": math.nan,
         "render_seconds": math.nan,
-        "note": "",
+        **dict.fromkeys(("note", "host", "cpu"), ""),
     }
     identity = {"method": entry.method, "variant": entry.variant, "seed": entry.seed}
     outcomes = read_outcomes(answers.renders(entry.label) / "render.json")

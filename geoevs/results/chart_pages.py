@@ -176,7 +176,8 @@ def _panel(points: pd.DataFrame, cost: str, metric: str, title: str) -> alt.Laye
         for some in _dots(base, data, 75)
     ]
     upright, level = bars.encode(y="low:Q", y2="high:Q"), bars.encode(x="x_low:Q", x2="x_high:Q")
-    return layered([line, upright, level, *dots, names], _titled(title, points))
+    titled = _titled(title, points, points["timed_on"].iloc[0])
+    return layered([line, upright, level, *dots, names], titled)
 
 
 def _dots(base: alt.Chart, data: pd.DataFrame, size: int) -> list[alt.Chart]:

@@ -12,6 +12,7 @@ from geoevs.protocol.set_metrics import SET_METRICS
 from geoevs.protocol.targets import ALL_CAMERAS, FRONT_SIDE
 from geoevs.results.bootstrap import bootstrap_mean, summarise
 from geoevs.results.entrants import ENTRANT, Entrants
+from geoevs.results.machines import timed_on
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TableSpec, table_rows, table_spec, views_in_no_bin
 from geoevs.results.views import lacking, lacking_of_sets
@@ -70,7 +71,8 @@ def speed_accuracy(
         fits with `_low` and `_high`, and `<cost>_frontier`: whether no entrant of the same data
         set, bin and metric is both cheaper and better. `lacking` and `lacking_fits` count views and
         fits that others have; who lacks any is on no frontier and pushes nobody off it. `outside`
-        is what is said of views in no bin. Oracles, which render nothing, are left out.
+        is what is said of views in no bin, `timed_on` of several machines. Oracles, which render
+        nothing, are left out.
     """
     spec = table_spec(name)
     rows = table_rows(spec, scores, settings)
@@ -90,6 +92,7 @@ def speed_accuracy(
     outside = views_in_no_bin(spec, scores, settings)
     said = [outside.get(dataset, "") for dataset in table["dataset"]]
     table = table.assign(**last, outside=pd.Series(said, table.index, dtype="str"))
+    table["timed_on"] = table["dataset"].map(timed_on(costs)).fillna("").astype("str")
     for (_, _, metric), group in table[_whole(table)].groupby(["dataset", "bin", "metric"]):
         for cost in COSTS:
             table.loc[group.index, f"{cost}_frontier"] = _frontier(group, cost, metric)

@@ -13,7 +13,9 @@ from geoevs.protocol.rows import check_fingerprints
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.bootstrap import summarise
 from geoevs.results.entrants import INFO, Entrants
+from geoevs.results.escaping import markdown_text
 from geoevs.results.formats import markdown_grid, write_formats
+from geoevs.results.machines import timed_on
 from geoevs.results.settings import TableSettings
 from geoevs.results.views import lacking
 
@@ -58,8 +60,9 @@ def make_complexity_table(
     Returns:
         Columns `dataset`, `method`, `scene`, of the chosen size `chosen` (primitives), `psnr` and
         `seconds`, of the best fixed one `best`, `best_variant`, `best_psnr` and `best_seconds`,
-        `regret_db`, `regret_seconds`, `note`, and the method's `name`, `paradigm`, `extra_prior`
-        and `needs`. A data set without fixed sizes has one row that says so.
+        `regret_db`, `regret_seconds`, `note`, `timed_on`, a sentence on the machines of the data
+        set's fits where they are several, and the method's `name`, `paradigm`, `extra_prior` and
+        `needs`. A data set without fixed sizes has one row that says so.
 
     Raises:
         GeoEvsError: the rows come from different protocols.
@@ -83,8 +86,9 @@ def make_complexity_table(
             table.append({"dataset": dataset, "note": "no fixed size was run"})
     numbers = ["chosen", "psnr", "seconds", "best", "best_psnr", "best_seconds"]
     numbers += ["regret_db", "regret_seconds"]
-    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", *INFO]
+    columns = [*_KEY, *numbers[:4], "best_variant", *numbers[4:], "note", "timed_on", *INFO]
     made = pd.DataFrame(table, columns=columns)
+    made["timed_on"] = made["dataset"].map(timed_on(costs)).fillna("").astype("str")
     return made.astype(dict.fromkeys(numbers, "float64"))
 
 
@@ -198,6 +202,8 @@ def complexity_markdown(table: pd.DataFrame) -> str:
             ]
             body.append([*line, row["note"]])
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
+        if said := rows["timed_on"].iloc[0]:
+            parts.append(f"**{markdown_text(said)}**\n")
     parts.append(LEGEND)
     return "\n".join(parts)
 

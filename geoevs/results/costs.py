@@ -10,6 +10,7 @@ from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results.entrants import ENTRANT, Entrants
 from geoevs.results.escaping import markdown_text
 from geoevs.results.formats import markdown_grid, write_formats
+from geoevs.results.machines import machines_of, timed_on
 
 COLUMNS = {
     "fit_seconds": "fit s",
@@ -45,13 +46,15 @@ def make_cost_table(costs: pd.DataFrame, entrants: Entrants) -> pd.DataFrame:
     Returns:
         A row for every data set, method and variant, in the rows' order: the keys of COLUMNS,
         `n` fits, `failed` fits, `device`, `threads`, `note`, what the methods said of the fits,
-        and the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
+        `machines`, those of the fits, `timed_on`, a sentence on those of the data set where they
+        are several, and the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
     """
     rows = costs[costs["sources"] == ALL_CAMERAS].assign(
         peak_memory_mb=costs["peak_memory"] / 1e6,
         gpu_memory_mb=costs["gpu_memory"] / 1e6,
         size_mb=costs["bytes"] / 1e6,
     )
+    sentences = timed_on(rows)
     table = []
     for key, group in rows.groupby(ENTRANT, sort=False):
         fine = group[group["status"] != FAILED]
@@ -64,6 +67,8 @@ def make_cost_table(costs: pd.DataFrame, entrants: Entrants) -> pd.DataFrame:
                 "device": " ".join(sorted(fine["device"].unique())),
                 "threads": group["threads"].max(),
                 "note": _joined_notes(fine),
+                "machines": machines_of(fine),
+                "timed_on": sentences[key[0]],
             }
         )
     return entrants.describe(pd.DataFrame(table))
@@ -97,6 +102,8 @@ def cost_markdown(table: pd.DataFrame) -> str:
             stars = "*" if row["paradigm"] == CONTROL else ""
             noted.setdefault(row["note"], []).append(f"{stars}{markdown_text(name)}{stars}")
         parts.append(f"## {dataset}\n\n{markdown_grid(header, body)}\n")
+        if said := rows["timed_on"].iloc[0]:
+            parts.append(f"**{markdown_text(said)}**\n")
         notes = [
             f"- {', '.join(names)}: {markdown_text(note)}\n"
             for note, names in noted.items()

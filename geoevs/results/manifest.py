@@ -17,6 +17,7 @@ from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, whole_file, write_bytes, write_json
 from geoevs.core.hashes import file_hash
+from geoevs.core.machine import processor
 
 PACKAGES = (
     "geoevs",
@@ -203,7 +204,7 @@ def _versions() -> dict[str, str]:
 def _machine() -> dict[str, Any]:
     return {
         "system": f"{platform.system()} {platform.machine()}",
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
     }
@@ -229,12 +230,3 @@ def _commit() -> str:
         check=False,
     )
     return described.stdout.strip() or "not a git checkout"
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor()

@@ -35,8 +35,8 @@ NAMES = ("dataset", "target", "camera", "method", "variant", "split", "metric", 
 KNOWN = ("support_ratio", "pose_offset", "lateral_shift")
 """Columns of numbers that every view has, whatever became of it."""
 
-FREE = ("reason", "note")
-"""Columns of what methods and errors said."""
+FREE = ("reason", "note", "host", "cpu")
+"""Columns of what methods, errors and machines said."""
 
 LONGEST = 1000
 """Most characters of such a text that are kept; what the suite itself writes is shorter."""

@@ -53,6 +53,7 @@ pretrain:
 conditions:
   masks: {yaw: [0, 1], lateral: [-2, 2]}
 trainings: {}
+cluster: {gpu: 0}
 stability:
   datasets: []
   seeds: 2
@@ -362,6 +363,7 @@ MISTAKES = {
     ),
     "no masks": ("[-2, 2]", "[]", "38: 'conditions.masks.lateral' is wrong: [] "),
     "no mask": ("yaw: [10]", "yaw: []", "16: 'protocol.masked.yaw' is wrong: [] is too short; w"),
+    "a GPU lent out": ("gpu: 0", "gpu: -1", "40: 'cluster.gpu' is wrong: -1 is too small; make"),
     "no time": ("fit_seconds: null", "fit_seconds: 0", "17: 'budget.fit_seconds' is wrong: 0 is"),
 }
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, write_json
+from geoevs.core.machine import machine
 from geoevs.methods.contract import Budget
 from geoevs.protocol.entries import MethodEntry, read_outcomes
 from geoevs.protocol.fit_step import fit_step
@@ -29,12 +30,22 @@ def test_a_good_method_leaves_images_and_costs(toy, attempt, tmp_path):
         assert (tmp_path / "model" / sources / "model/value").read_bytes() == b"12345"
         assert render["fit_seconds"] == fit["fit_seconds"]
         assert render["peak_memory"] >= fit["peak_memory"] > 10e6
+        assert fit.items() >= machine().items()
+        assert render.items() >= machine().items()
     images = sorted(path.relative_to(tmp_path / "renders") for path in tmp_path.rglob("*.png"))
     assert len(images) == 5  # interpolation, and two sides times two shifts
     for image in images:
         pixels = read_image(tmp_path / "renders" / image)
         assert pixels.shape == (48, 72, 3)
         assert (pixels == 128).all()  # 0.5 * 255, rounded to even
+
+
+def test_a_fit_that_another_machine_renders_names_both(toy, attempt, monkeypatch):
+    machines = iter([{"host": host, "cpu": "EPYC"} for host in ("a", "b")])
+    monkeypatch.setattr("geoevs.protocol.runs.machine", lambda: next(machines))
+    fits, renders = attempt(toy("good"), "extrapolation")
+    assert (fits["all-cameras"]["host"], fits["all-cameras"]["cpu"]) == ("a", "EPYC")
+    assert (renders["all-cameras"]["host"], renders["all-cameras"]["cpu"]) == ("a, b", "EPYC")
 
 
 def test_seconds_are_of_the_fit_and_of_a_view_alone(toy, stage, tmp_path, monkeypatch):

@@ -273,6 +273,7 @@ def test_targets_of_the_wrong_shape_are_named(tmp_path, text):
 def test_costs_by_hand(tmp_path):
     spent = {"fit_seconds": 2.0, "render_seconds": 0.5, "primitives": 3, "bytes": 7, "note": "n"}
     spent |= {"training_seconds": 120.0, "load_seconds": 1.5, "warm_up_seconds": 0.75}
+    spent |= {"host": "a", "cpu": "EPYC"}
     outcomes = {"all-cameras": {**OK, **spent, "gpu_memory": 5}, "front-side": FAILED}
     who, answers = MethodEntry("m", "v", {}, 1), Answers(tmp_path, "d", "s")
     write_json(answers.renders(who.label) / "render.json", outcomes)
@@ -284,9 +285,10 @@ def test_costs_by_hand(tmp_path):
         **{"fit_seconds": 2.0, "render_seconds": 0.5, "peak_memory": 9, "gpu_memory": 5},
         **{"training_seconds": 120.0, "load_seconds": 1.5, "warm_up_seconds": 0.75},
         **{"primitives": 3, "parameters": 0, "bytes": 7, "device": "cuda", "threads": 2},
+        **{"host": "a", "cpu": "EPYC"},
         **{"note": "n", "status": "ok", "stage": "", "reason": "", "log": ""},
     }
     assert (failed["status"], failed["reason"], failed["log"]) == ("failed", "no points", "fit.log")
     for part in ("fit", "training", "load", "warm_up", "render"):
         assert math.isnan(failed[f"{part}_seconds"])
-    assert failed["device"] == "cpu"
+    assert (failed["device"], failed["host"], failed["cpu"]) == ("cpu", "", "")

@@ -58,7 +58,7 @@ def rows():
                 "bytes": 0,
             }
             cost |= {"peak_memory": 2e8, "gpu_memory": 0}
-            cost |= {"load_seconds": 3.0, "warm_up_seconds": 1.0}
+            cost |= {"load_seconds": 3.0, "warm_up_seconds": 1.0, "host": "a", "cpu": "EPYC"}
             spent = {**entrant, **cost, "render_seconds": second}
             costs += [spent, {**spent, "sources": "front-side", "render_seconds": 2 * second}]
     table = pd.DataFrame(scores)
@@ -87,6 +87,19 @@ def test_the_frontier_holds_what_nothing_beats_in_both(rows):
     # All take the same memory, so that the best one alone is worth it.
     assert table.index[table["memory_mb_frontier"]].tolist() == [("geo-evs", "t1")]
     assert table["control"].tolist() == [True, True, False, False]
+
+
+def test_a_chart_says_which_machines_its_seconds_are_of(rows):
+    scores, costs = rows
+    assert set(charted(rows)["timed_on"]) == {""}
+    other = costs["method"] == "reproject"
+    table = charted((scores, costs.assign(cpu=costs["cpu"].mask(other, "Xeon"))))
+    said = (
+        "Timed on 2 machines with 2 processors, whose seconds do not compare: EPYC (a), Xeon (a)."
+    )
+    assert set(table["timed_on"]) == {said}
+    (panel, *_) = draw_page("extrapolation", table, SETTINGS).vconcat[0].hconcat
+    assert " ".join(panel.title.subtitle).endswith(said)
 
 
 def test_where_less_is_better_the_frontier_goes_down(rows):

@@ -72,6 +72,16 @@ def test_regret_is_against_the_best_fixed_size_of_the_scene(rows, costs):
     assert table["regret_seconds"].tolist() == pytest.approx([-10.0, 6.0, -2.0])
     assert table.loc["mean", "best"] == 5000
     assert table.loc["mean", "note"] == "of 2 scenes"
+    assert set(table["timed_on"]) == {""}
+
+
+def test_sizes_that_other_processors_timed_are_not_compared_silently(rows, costs):
+    scores = rows(*scored(default=(20.0,), _2k=(19.0,), _8k=(21.0,)))
+    fits = [fit | {"cpu": f"cpu {fit['variant']}"} for fit in entrants()]
+    table = make_complexity_table(scores, costs(*fits), ENTRANTS)
+    said = "Timed on 3 machines with 3 processors, whose seconds do not compare: "
+    assert set(table["timed_on"]) == {f"{said}cpu default, cpu 2k, cpu 8k."}
+    assert f"\n**{said}" in complexity_markdown(table)
 
 
 def test_a_failed_fit_is_said_and_not_averaged(rows, costs):

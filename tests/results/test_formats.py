@@ -102,7 +102,7 @@ def costs():
         **{"status": "ok", "fit_seconds": 1.0, "render_seconds": 0.5, "peak_memory": 3_000_000},
         **{"gpu_memory": 0, "primitives": 10, "parameters": 0, "bytes": 2_000_000},
         **{"device": "cpu", "threads": 2, "scene": "s", "note": "", "training_seconds": math.nan},
-        **{"load_seconds": 0.25, "warm_up_seconds": 0.75},
+        **{"load_seconds": 0.25, "warm_up_seconds": 0.75, "host": "a", "cpu": "EPYC"},
     }
     return lambda *changes: pd.DataFrame([{**usual, **change} for change in changes])
 
@@ -156,3 +156,23 @@ def test_notes_that_differ_name_their_scenes(costs):
     made = make_cost_table(rows, ENTRANTS)
     assert made["note"].tolist() == ["s, u: 9 points | v: 8 points"]
     assert "\n- mine: s, u: 9 points | v: 8 points\n" in cost_markdown(made)
+
+
+def test_seconds_of_several_machines_do_not_stand_side_by_side_without_a_word(costs):
+    one = make_cost_table(costs({}, {"scene": "t"}), ENTRANTS)
+    assert one[["machines", "timed_on"]].to_numpy().tolist() == [["EPYC (a)", ""]]
+    assert "Timed on" not in cost_markdown(one)
+
+    more = [{"scene": host, "host": host} for host in "bcde"]
+    alike = make_cost_table(costs({}, *more), ENTRANTS)
+    said = "Timed on 5 machines with one processor: EPYC (a, b, c, 2 more)."
+    assert alike["timed_on"].tolist() == [said]
+    assert f"\n**{said}**\n" in cost_markdown(alike)
+
+    other = {"method": "reproject", "host": "x", "cpu": "Xeon * 2"}
+    failing = {"method": "reproject", "host": "y", "cpu": "ARM", "status": FAILED}
+    mixed = make_cost_table(costs({}, other, failing), ENTRANTS)
+    assert mixed["machines"].tolist() == ["EPYC (a)", "Xeon * 2 (x)"]
+    said = "Timed on 2 machines with 2 processors, whose seconds do not compare: "
+    assert set(mixed["timed_on"]) == {f"{said}EPYC (a), Xeon * 2 (x)."}
+    assert f"\n**{said}EPYC (a), Xeon \\* 2 (x).**\n" in cost_markdown(mixed)

@@ -32,8 +32,11 @@ rule audit_scene:
         in_run("logs/audit/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/audit/{dataset}/{scene}.tsv")
+    resources:
+        mem_mb=memory("score"),
+        runtime=minutes("score"),
     params:
-        run=lambda wildcards, output: RUN,
+        run=lambda wildcards, output: Path(output[0]).parents[3],
         entrants=json.dumps(
             [[entry.method, entry.variant, entry.seed] for entry in ENTRIES.values()]
         ),

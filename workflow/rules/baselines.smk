@@ -15,7 +15,13 @@ rule fit:
         method=in_run("logs/fit/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/fit/{dataset}/{scene}/{label}.tsv")
+    group:
+        sent_as("entrant")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("fit", tried=attempt(layout.MODEL, "fit.json")),
+        runtime=within("fit", "fit"),
+        gpu=GPU,
     params:
         entry=entry_arguments,
         settings=fit_arguments,
@@ -42,7 +48,13 @@ rule render:
         method=in_run("logs/render/{dataset}/{scene}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/render/{dataset}/{scene}/{label}.tsv")
+    group:
+        sent_as("entrant")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("fit", tried=attempt(layout.RENDERS, "render.json")),
+        runtime=within("render", "render"),
+        gpu=GPU,
     params:
         method=lambda wildcards: ENTRIES[wildcards.label].method,
         answers=oracle_arguments,

@@ -18,7 +18,7 @@ rule chart:
         in_run("logs/chart/{table}.log"),
     params:
         settings=json.dumps(config["tables"]),
-        stem=in_run(layout.CHART),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
         code=code_hash("geoevs.results.chart_pages"),
     shell:
         "geoevs --log {log:q} chart {wildcards.table} --scores {input.scores:q}"

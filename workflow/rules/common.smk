@@ -55,15 +55,18 @@ def config_files():
     return merge_order(own, settings.configfiles)
 
 
-try:
-    check_config(
-        config,
-        Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
-        config_files(),
-        workflow.config_settings.config,
-    )
-except GeoEvsError as mistake:
-    raise WorkflowError(str(mistake)) from None
+if (
+    workflow.is_main_process
+):  # jobs sent elsewhere read these rules too, maybe without the schema
+    try:
+        check_config(
+            config,
+            Path(workflow.basedir) / "workflow/schemas/config.schema.yaml",
+            config_files(),
+            workflow.config_settings.config,
+        )
+    except GeoEvsError as mistake:
+        raise WorkflowError(str(mistake)) from None
 
 # `geoevs` is the one beside this Python, whether or not its environment is activated.
 # Numba and OpenCV do not heed what Snakemake sets for other libraries, and their idle threads spin.
@@ -79,6 +82,10 @@ shell.prefix(
         if seconds is not None
     )
 )
+
+# Thousands of jobs share a few hashes.
+code_hash = cache(code_hash)
+adapter_module = cache(lambda method: find_methods()[method])
 
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]
@@ -111,6 +118,11 @@ def lock_run():
 def in_run(pattern):
     """A path pattern of the run, its wildcards kept."""
     return f"{RUN}/{pattern}"
+
+
+def as_stored(path):
+    """Where a job finds a file of the run: there, or in what a storage plugin copies to it."""
+    return str(workflow.inputfile(path))
 
 
 # Folder of this suite's own starting weights.
@@ -235,9 +247,8 @@ def method_code(step):
 
     def of(wildcards):
         method = ENTRIES[wildcards.label].method
-        adapter = (
-            "geoevs.protocol.oracle" if method in ORACLES else find_methods()[method]
-        )
+        oracle = method in ORACLES
+        adapter = "geoevs.protocol.oracle" if oracle else adapter_module(method)
         return code_hash(
             f"geoevs.protocol.{step}_step", "geoevs.protocol.runs", adapter
         )
@@ -262,24 +273,31 @@ def entrant_options(wildcards):
 def entrant_code(wildcards):
     """Hash of all methods that play."""
     methods = {entry.method for entry in ENTRIES.values()} - set(ORACLES)
-    modules = [find_methods()[method] for method in sorted(methods)]
+    modules = [adapter_module(method) for method in sorted(methods)]
     return code_hash("geoevs.protocol.entrants", *modules)
+
+
+@cache
+def reader_of_files(label):
+    """An entrant that reads files that no step makes; None of others."""
+    entry = ENTRIES[label]
+    if entry.method in ORACLES:
+        return None
+    try:
+        method = make_method(entry.method, entry.options)
+    except Exception:  # as with an option that its training gives
+        return None
+    return method if isinstance(method, ReadsFiles) else None
 
 
 @cache
 def outside_files(label, dataset, scene):
     """Hash of the files that no step makes and that an entrant reads for a scene."""
-    entry = ENTRIES[label]
-    if entry.method in ORACLES:
-        return "none"
-    try:
-        method = make_method(entry.method, entry.options)
-    except Exception:  # as with an option that its training gives
-        return "none"
-    if not isinstance(method, ReadsFiles):
+    reader = reader_of_files(label)
+    if reader is None:
         return "none"
     name, _ = world_options(scene)
-    return outside_hash(method.files(SceneRef.parse(name).name))
+    return outside_hash(reader.files(SceneRef.parse(name).name))
 
 
 def fit_arguments(wildcards):
@@ -291,7 +309,7 @@ def fit_arguments(wildcards):
 
 def method_options(entries, wildcards):
     """An entrant's own options as JSON, and the weights that it was trained to."""
-    weights = {"weights": path for path in trained(wildcards)}
+    weights = {"weights": as_stored(path) for path in trained(wildcards)}
     return json.dumps(entries[wildcards.label].options | weights)
 
 
@@ -367,13 +385,3 @@ def training_arguments(settings):
         f"--steps {settings['steps']} --batch {settings['batch']} "
         f"--learning-rate {settings['learning_rate']} --seed {config['seed']}"
     )
-
-
-def pretrained(network):
-    """Where a new network is written."""
-    return in_run(layout.PRETRAINED).format(weights=network)
-
-
-def pretraining_work(network):
-    """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
-    return in_run(layout.TRAINING).format(network=f"pretrain-{network}")

@@ -18,6 +18,10 @@ if FINETUNED:
         benchmark:
             in_run("benchmarks/finetune_geometry.tsv")
         threads: workflow.cores
+        resources:
+            mem_mb=memory("train", lambda wildcards: GEOMETRY_SCENES),
+            runtime=within("training"),
+            gpu=GPU,
         params:
             frames=training_frames,
             settings=training_arguments(GEOMETRY["finetune"]),
@@ -41,9 +45,15 @@ rule point_maps:
         in_run("logs/point-maps/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/point-maps/{dataset}/{scene}.tsv")
+    group:
+        sent_as("prepare")
+    resources:
+        mem_mb=memory("depth"),
+        runtime=minutes("depth"),
+        gpu=GPU,
     params:
         model=GEOMETRY["model"],
-        weights=with_option("--weights", FINETUNED or PRETRAINED),
+        weights=with_option("--weights", [*map(as_stored, FINETUNED)] or PRETRAINED),
         pretrained=pretrained_hash,
         code=code_hash("geoevs.geometry.point_maps"),
     shell:
@@ -64,10 +74,14 @@ rule depth_scores_of_scene:
     benchmark:
         in_run("benchmarks/depth-scores/{dataset}/{scene}.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("depth"),
+        runtime=minutes("depth"),
+        gpu=GPU,
     params:
         model=GEOMETRY["model"],
         before=with_option("--pretrained", PRETRAINED),
-        after=with_option("--finetuned", FINETUNED),
+        after=with_option("--finetuned", map(as_stored, FINETUNED)),
         pretrained=pretrained_hash,
         code=code_hash("geoevs.protocol.depth_scoring"),
     shell:

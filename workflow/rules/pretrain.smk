@@ -4,6 +4,16 @@
 WEIGHTS = (SUITE_MODEL, "autoencoder", "prior")
 
 
+def pretrained(network):
+    """Where a new network is written."""
+    return in_run(layout.PRETRAINED).format(weights=network)
+
+
+def pretraining_work(network):
+    """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
+    return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
+
+
 rule pretrain_geometry:
     input:
         scenes=every_scene(layout.SCENE, PRETRAINING_SCENES),
@@ -15,6 +25,10 @@ rule pretrain_geometry:
     benchmark:
         in_run("benchmarks/pretrain/vggt-nano.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("train", lambda wildcards: PRETRAINING_SCENES),
+        runtime=within("training"),
+        gpu=GPU,
     params:
         frames=training_frames,
         settings=training_arguments(config["pretrain"][SUITE_MODEL]),
@@ -38,6 +52,10 @@ rule pretrain_refiner:
     benchmark:
         in_run("benchmarks/pretrain/depth-refiner.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("train", lambda wildcards: PRETRAINING_SCENES),
+        runtime=within("training"),
+        gpu=GPU,
     params:
         frames=training_frames,
         settings=training_arguments(config["pretrain"]["depth-refiner"]),
@@ -58,6 +76,10 @@ rule pretrain_autoencoder:
     benchmark:
         in_run("benchmarks/pretrain/autoencoder.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("train", lambda wildcards: PRETRAINING_SCENES),
+        runtime=within("training"),
+        gpu=GPU,
     params:
         scenes=lambda wildcards, input: with_option("--scenes", input.scenes),
         settings=training_arguments(config["pretrain"]["autoencoder"]),
@@ -79,6 +101,10 @@ rule pretrain_prior:
     benchmark:
         in_run("benchmarks/pretrain/prior.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory("train", lambda wildcards: PRETRAINING_SCENES),
+        runtime=within("training"),
+        gpu=GPU,
     params:
         scenes=lambda wildcards, input: with_option("--scenes", input.scenes),
         settings=training_arguments(config["pretrain"]["prior"]),

@@ -11,6 +11,11 @@ rule scene:
         in_run("logs/scene/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/scene/{dataset}/{scene}.tsv")
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("scene"),
+        runtime=minutes("scene"),
     params:
         scene=scene_arguments,
         data=scene_data,
@@ -29,6 +34,11 @@ rule truth:
         in_run("logs/truth/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/truth/{dataset}/{scene}.tsv")
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("truth"),
+        runtime=minutes("truth"),
     params:
         scene=scene_arguments,
         data=scene_data,

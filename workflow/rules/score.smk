@@ -16,6 +16,11 @@ rule score:
         in_run("logs/score/{dataset}/{scene}/{label}.log"),
     benchmark:
         in_run("benchmarks/score/{dataset}/{scene}/{label}.tsv")
+    group:
+        sent_as("entrant")
+    resources:
+        mem_mb=memory("score"),
+        runtime=minutes("score"),
     params:
         entry=entry_arguments,
         run=lambda wildcards, output: Path(output.scores).parents[3],
@@ -66,6 +71,11 @@ rule score_sets:
         in_run(layout.SET_SCORE_PART),
     log:
         in_run("logs/score_sets/{dataset}/{label}.log"),
+    group:
+        sent_as("sets")
+    resources:
+        mem_mb=memory("score", scenes_of_dataset),
+        runtime=minutes("score", scenes_of_dataset),
     params:
         entry=entry_arguments,
         run=lambda wildcards, output: Path(output[0]).parents[2],
@@ -91,6 +101,8 @@ rule set_scores:
         in_run(layout.SET_SCORES),
     log:
         in_run("logs/set_scores.log"),
+    group:
+        sent_as("sets")
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:

@@ -21,6 +21,11 @@ rule stability_targets:
         in_run("logs/targets/{dataset}/{scene}.log"),
     wildcard_constraints:
         dataset="|".join(STABILITY["datasets"]) or "(?!)",  # none: nothing matches
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("references"),
+        runtime=minutes("references"),
     params:
         settings=lambda wildcards: json.dumps(
             clean_settings(STABILITY, wildcards.scene)
@@ -38,6 +43,11 @@ rule stress:
         directory(in_run(layout.STRESSED)),
     log:
         in_run("logs/stress/{dataset}/{scene}/{stressor}/{level}.seed{draw}.log"),
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("references"),
+        runtime=minutes("references"),
     params:
         code=code_hash("geoevs.protocol.stressors"),
     shell:
@@ -58,6 +68,12 @@ rule stability_render:
         method=in_run("logs/stability/{dataset}/{scene}/{group}/{label}.method.log"),
     benchmark:
         in_run("benchmarks/stability/{dataset}/{scene}/{group}/{label}.tsv")
+    group:
+        sent_as("stability")
+    resources:
+        mem_mb=memory("fit", tried=attempt(layout.STABILITY_RENDERS, "*/outcome.json")),
+        runtime=within("fit", "render"),
+        gpu=GPU,
     params:
         entry=stability_arguments,
         options=lambda wildcards: method_options(STABILITY_ENTRIES, wildcards),
@@ -79,9 +95,14 @@ rule stability_score:
         in_run(layout.STABILITY_PART),
     log:
         in_run("logs/stability-score/{dataset}/{scene}/{group}/{label}.log"),
+    group:
+        sent_as("stability")
+    resources:
+        mem_mb=memory("score"),
+        runtime=minutes("score"),
     params:
         entry=stability_arguments,
-        run=lambda wildcards, output: RUN,
+        run=lambda wildcards, output: Path(output[0]).parents[5],
         seed=config["seed"],
         code=code_hash("geoevs.protocol.stability_scoring"),
     shell:
@@ -141,7 +162,7 @@ rule stability_chart:
     log:
         in_run("logs/stability-chart/{stressor}.log"),
     params:
-        stem=in_run(layout.STABILITY_CHART),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
         code=code_hash("geoevs.results.stability_chart"),
     shell:
         "geoevs --log {log:q} stability-chart {wildcards.stressor} --table {input:q}"

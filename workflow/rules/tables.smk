@@ -39,7 +39,7 @@ rule table:
         in_run("logs/table/{table}.log"),
     params:
         settings=json.dumps(config["tables"]),
-        stem=in_run(layout.TABLE),
+        stem=lambda wildcards, output: Path(output[0]).with_suffix(""),
         code=code_hash("geoevs.results.formats"),
     shell:
         "geoevs --log {log:q} table {wildcards.table} --scores {input.scores:q}"

@@ -10,6 +10,11 @@ rule targets:
         in_run(layout.TARGETS),
     log:
         in_run("logs/targets/{dataset}/{scene}.log"),
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("references"),
+        runtime=minutes("references"),
     params:
         protocol=json.dumps(
             {
@@ -35,6 +40,11 @@ rule references:
         in_run("logs/references/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/references/{dataset}/{scene}.tsv")
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("references"),
+        runtime=minutes("references"),
     params:
         seed=config["seed"],
         code=code_hash("geoevs.protocol.reference"),

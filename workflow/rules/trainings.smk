@@ -16,6 +16,11 @@ rule prepare:
         in_run("logs/prepare/{trainer}/{dataset}/{scene}.log"),
     benchmark:
         in_run("benchmarks/prepare/{trainer}/{dataset}/{scene}.tsv")
+    group:
+        sent_as("prepare")
+    resources:
+        mem_mb=memory("prepare", tried=attempt(layout.PREPARED)),
+        runtime=within("training"),
     params:
         inputs=prepare_arguments,
         attempt=attempt(layout.PREPARED),
@@ -33,6 +38,9 @@ rule combine:
         in_run(layout.COMBINED),
     log:
         in_run("logs/combine/{trainer}.log"),
+    resources:
+        mem_mb=memory("prepare", learned_scenes, attempt(layout.COMBINED)),
+        runtime=within("training"),
     params:
         attempt=attempt(layout.COMBINED),
         told=told(),
@@ -54,6 +62,14 @@ rule train:
     benchmark:
         in_run("benchmarks/train/{trainer}/{training}.seed{seed}.tsv")
     threads: workflow.cores
+    resources:
+        mem_mb=memory(
+            "train",
+            learned_scenes,
+            attempt(layout.TRAINED, "failure.json", "attempt.json"),
+        ),
+        runtime=within("training"),
+        gpu=GPU,
     params:
         inputs=train_arguments,
         settings=lambda wildcards: json.dumps(settings_of(wildcards)),

@@ -19,8 +19,18 @@ def prepared(wildcards):
 def prepared_files(trainer):
     """The same, of a training by name."""
     pattern = layout.PREPARED.replace("{trainer}", trainer)
+    return every_scene(pattern, scenes_of_training(trainer))
+
+
+def learned_scenes(wildcards):
+    """The (dataset, scene) pairs that a training has."""
+    return scenes_of_training(wildcards.trainer)
+
+
+def scenes_of_training(trainer):
+    """The same, of a training by name."""
     partition = TRAININGS[trainer].partition
-    return every_scene(pattern, partition_scenes(config, partition, config["datasets"]))
+    return partition_scenes(config, partition, config["datasets"])
 
 
 def combined(trainer):
@@ -64,7 +74,7 @@ def train_arguments(wildcards, input):
     """What `geoevs train` is given besides settings."""
     geometry = [
         f"--geometry {GEOMETRY['model']}",
-        with_option("--geometry-weights", FINETUNED or PRETRAINED),
+        with_option("--geometry-weights", input.geometry or PRETRAINED),
     ]
     return " ".join(
         [
