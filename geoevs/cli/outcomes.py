@@ -45,13 +45,25 @@ def register(app: typer.Typer) -> None:
 
 
 def collect(
-    parts: Annotated[list[Path], typer.Argument(help="Parquet files with the same columns.")],
     out: Out,
+    parts: Annotated[
+        list[Path] | None, typer.Argument(help="Parquet files with the same columns.")
+    ] = None,
+    listed: Annotated[
+        typer.FileText | None,
+        typer.Option(
+            "--list",
+            help="A file that names more of them, one a line; -: the input.",
+            encoding="utf-8",
+            errors="surrogateescape",
+        ),
+    ] = None,
 ) -> None:
     """Put the rows of many jobs into one Parquet file, in the order given, one job at a time."""
     from geoevs.core.parquet import join_parquet
 
-    join_parquet(out, parts)
+    more = [] if listed is None else map(Path, listed.read().splitlines())
+    join_parquet(out, [*(parts or []), *more])
 
 
 def entrants(

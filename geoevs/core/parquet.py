@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import check_file, whole_file, write_bytes
+from geoevs.core.files import check_file, new_file, whole_file, write_bytes
 
 LONGEST_TEXT = 10_000
 """Most bytes of a text in a table."""
@@ -31,6 +31,10 @@ KINDS = {
 }
 """What a column of a type holds, in words, and the test of its type in a file."""
 
+GROUP_ROWS = 2**17
+"""Rows of a group in a file that is put together: some 10 MB in memory, and few enough groups that
+a reader's work is with rows."""
+
 SEAL = b"geoevs.seal"
 """The key of the seal in a schema's metadata."""
 
@@ -45,22 +49,26 @@ def write_parquet(path: Path, rows: pd.DataFrame) -> None:
 
 
 def join_parquet(path: Path, parts: Sequence[Path]) -> None:
-    """Put the rows of sealed files into one, in the order given, one file in memory at a time.
+    """Put the rows of sealed files into one, in the order given, in groups of GROUP_ROWS.
+
+    Besides one file, no more rows than a group has are in memory at once.
 
     Args:
         path: what to write.
         parts: Parquet files with the same columns, at least one.
 
     Raises:
-        GeoEvsError: a file is missing, damaged, without a seal, changed since it was sealed, or has
-            other columns than the first.
+        GeoEvsError: there is no file, or one is missing, damaged, without a seal, changed since it
+            was sealed, or has other columns than the first.
     """
-    buffer = io.BytesIO()
+    if not parts:
+        raise GeoEvsError(f"there are no files to make {path} from; name at least one")
     with whole_file(parts[0]):
         schema = pq.read_schema(parts[0])
     metadata = {key: value for key, value in (schema.metadata or {}).items() if key != SEAL}
     schema = schema.with_metadata(metadata)
-    with pq.ParquetWriter(buffer, schema) as writer:
+    with new_file(path) as partial, pq.ParquetWriter(partial, schema) as writer:
+        waiting: list[pa.Table] = []
         for part in parts:
             with whole_file(part):
                 rows = pq.read_table(part)
@@ -69,8 +77,11 @@ def join_parquet(path: Path, parts: Sequence[Path]) -> None:
                     f"{part} has other columns than {parts[0]}; delete it and make it again"
                 )
             check_seal(part, rows)
-            writer.write_table(rows.replace_schema_metadata(metadata))
-    write_bytes(path, buffer.getvalue())
+            waiting.append(rows.replace_schema_metadata(metadata))
+            if sum(map(len, waiting)) >= GROUP_ROWS:
+                writer.write_table(pa.concat_tables(waiting), GROUP_ROWS)
+                waiting = []
+        writer.write_table(pa.concat_tables(waiting) if waiting else schema.empty_table())
 
 
 def read_parquet(

@@ -81,6 +81,11 @@ shell.prefix(
     )
 )
 
+# The shell's own printf takes any number of files; no other program does.
+COLLECT = (
+    "printf '%s\\n' {input:q} | geoevs --log {log:q} collect --list - --out {output:q}"
+)
+
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]
 PROTOCOL = json.dumps(config["protocol"])

@@ -39,7 +39,7 @@ rule scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 rule costs:
@@ -52,7 +52,7 @@ rule costs:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 # Distances between all of an entrant's views of a data set and the truth.
@@ -94,7 +94,7 @@ rule set_scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 rule manifest:
