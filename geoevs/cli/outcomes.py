@@ -111,13 +111,16 @@ def chart(
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.results.chart_pages import write_chart
     from geoevs.results.entrants import Entrants
+    from geoevs.results.rows import read_scores
+    from geoevs.results.table_specs import rows_needed, table_spec
 
+    needed = rows_needed(table_spec(name))
     parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets, layout.SET_SCORES)
     write_chart(
         out,
         name,
-        read_rows(scores, layout.SCORES),
+        read_scores(scores, needed),
         read_rows(costs, layout.COSTS),
         parsed,
         who,

@@ -178,11 +178,18 @@ def frechet_distance(
         return Estimate(np.nan)
     # The trace of (A B) ** 0.5, from factors A = a'a and B = b'b: the singular values of a b'.
     a, b = ((z - z.mean(axis=0)) / np.sqrt(len(z) - 1) for z in (x, y))
-    # With more views than features, triangles of as many rows have the same products a'a and b'b.
-    a, b = (np.linalg.qr(z, mode="r") if len(z) > z.shape[1] else z for z in (a, b))
+    a, b = _no_taller(a), _no_taller(b)
     root = np.linalg.svd(a @ b.T, compute_uv=False).sum()
     difference = np.square(x.mean(axis=0) - y.mean(axis=0)).sum()
     return Estimate(float(difference + np.square(a).sum() + np.square(b).sum() - 2 * root))
+
+
+def _no_taller(factor: np.ndarray) -> np.ndarray:
+    """A factor a of a'a with as many rows as columns at most: a triangle, where a has more."""
+    if len(factor) <= factor.shape[1]:
+        return factor
+    triangle: np.ndarray = np.linalg.qr(factor, mode="r")
+    return triangle
 
 
 @dataclass(frozen=True)
