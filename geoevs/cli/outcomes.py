@@ -34,6 +34,7 @@ def register(app: typer.Typer) -> None:
         grid,
         chart,
         report,
+        hash,
         manifest,
         install_weights,
         failures,
@@ -83,9 +84,12 @@ def grid(
     name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
     run: Run,
     scenes: Annotated[list[str], typer.Option(help="DATASET/SCENE; repeat for more rows.")],
-    labels: Annotated[list[str], typer.Option(help="An entrant's label; repeat for columns.")],
     keeps: Annotated[str, typer.Option(help="protocol.reference_keep, as JSON.")],
     out: Out,
+    labels: Annotated[
+        list[str] | None,
+        typer.Option(help="An entrant's label; repeat for columns. None: renders were dropped."),
+    ] = None,
     count: Annotated[
         int | None, typer.Option(min=1, help="Random targets, in place of a few telling ones.")
     ] = None,
@@ -96,7 +100,7 @@ def grid(
 
     pairs = scene_pairs(scenes)
     shares = parse_json("--keeps", keeps, list)
-    write_bytes(out, table_grid(name, run, pairs, labels, shares, count))
+    write_bytes(out, table_grid(name, run, pairs, labels or [], shares, count))
 
 
 def chart(
@@ -139,18 +143,29 @@ def report(
 
 
 def manifest(
-    inputs: Annotated[list[Path], typer.Argument(help="Scene stores, weights, score files.")],
+    inputs: Annotated[list[Path], typer.Argument(help="Weights, score files, folders.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     out: Out,
     configfiles: Annotated[
         list[str] | None, typer.Option(help="The files that the config came from; repeat for more.")
+    ] = None,
+    hashed: Annotated[
+        list[Path] | None, typer.Option(help="What `geoevs hash` wrote; repeat for more.")
     ] = None,
 ) -> None:
     """Write down the commit, config, input hashes, versions, machine and seed of a run."""
     from geoevs.core.files import write_json
     from geoevs.results.manifest import make_manifest
 
-    write_json(out, make_manifest(parse_json("--config", config), inputs, configfiles or []))
+    settings = parse_json("--config", config)
+    write_json(out, make_manifest(settings, inputs, configfiles or [], hashed or []))
+
+
+def hash(path: Annotated[Path, typer.Argument(help="A file or folder.")], out: Out) -> None:
+    """Write down the hash of a file or folder, for the manifest."""
+    from geoevs.results.manifest import write_hash
+
+    write_hash(path, out)
 
 
 def install_weights(

@@ -152,7 +152,7 @@ def read_artifact_masks(path: Path) -> MaskLibrary:
     height, width = map(int, arrays["size"])
     count = len(arrays["masks"]) if "masks" in arrays else 0
     check_arrays(path, arrays, {"masks": ("u", (count, -(-height * width // 8)))})
-    kinds = zip(LABELS, ("U", "i", "f", "f", "f"), strict=True)
+    kinds = zip(LABELS, ("U", "i", "if", "if", "f"), strict=True)
     check_arrays(path, arrays, {name: (kind, (count,)) for name, kind in kinds})
     labels = {name: np.asarray(arrays[name]) for name in LABELS}
     return MaskLibrary(height, width, arrays["masks"], **labels, origin=str(path))

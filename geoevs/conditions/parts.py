@@ -63,7 +63,8 @@ def check_arrays(
     Args:
         path: the file.
         arrays: some of its arrays.
-        expected: for some of them, the kind of number (a letter of `numpy.dtype.kind`) and shape.
+        expected: for some of them, the kinds that it may have (letters of `numpy.dtype.kind`), and
+            the shape.
 
     Raises:
         GeoEvsError: one is missing or another one.
@@ -72,7 +73,7 @@ def check_arrays(
         if name not in arrays:
             raise GeoEvsError(f"{path} has no array '{name}'; delete it and make it again")
         found = arrays[name]
-        if (found.dtype.kind, found.shape) != (kind, shape):
+        if found.dtype.kind not in kind or found.shape != shape:
             raise GeoEvsError(
                 f"{path}: the array '{name}' is {found.dtype} of shape {found.shape}, not of shape "
                 f"{shape}; delete it and make it again"

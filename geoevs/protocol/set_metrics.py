@@ -188,8 +188,8 @@ def _no_taller(factor: np.ndarray) -> np.ndarray:
     """A factor a of a'a with as many rows as columns at most: a triangle, where a has more."""
     if len(factor) <= factor.shape[1]:
         return factor
-    triangle: np.ndarray = np.linalg.qr(factor, mode="r")
-    return triangle
+    triangle: Any = np.linalg.qr(factor, mode="r")
+    return np.asarray(triangle)
 
 
 @dataclass(frozen=True)

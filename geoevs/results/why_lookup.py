@@ -129,6 +129,11 @@ class Record:
         self.config = self.manifest["config"]
         self.settings = TableSettings.parse(self.config["tables"])
 
+    @property
+    def dropped(self) -> bool:
+        """Whether the run's pictures were deleted when they were scored."""
+        return bool(self.config.get("renders") == "drop")
+
     @cached_property
     def scores(self) -> pd.DataFrame:
         """The run's score rows, one a target and metric, or those that are needed of them."""
@@ -220,7 +225,8 @@ class Record:
     def pictures(self, dataset: str, label: str) -> Iterator[str]:
         """Where an entrant's pictures lie, and what scored them."""
         renders = self.path(layout.RENDERS, dataset, "<scene>", label)
-        yield f"pictures  {renders}/<view>/<frame>.png"
+        gone = ", dropped when they were scored" if self.dropped else ""
+        yield f"pictures  {renders}/<view>/<frame>.png{gone}"
         for pattern in (layout.REFERENCES, layout.TRUTH, layout.SCENE):
             yield f"          {self.path(pattern, dataset, '<scene>')}"
 
