@@ -75,6 +75,7 @@ def score_rows(count: int, entrants: list[str] = ENTRANTS) -> pd.DataFrame:
         "valid_pixels": 500,
         "support_ratio": rng.uniform(0, 0.1, len(table)),
         "pose_offset": offset,
+        "lateral_shift": 0.0,
         "status": "ok",
         "fingerprint": "f",
     }

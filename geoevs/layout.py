@@ -1,6 +1,7 @@
 """Where everything lies under `results/<run>/`; the workflow's rules use these patterns."""
 
 SCENE = "scenes/{dataset}/{scene}"
+SCENE_HASH = "hashes/{dataset}/{scene}.json"
 DEPTHS = "depths/{dataset}/{scene}"
 TRAINING = "training/{network}"
 FINETUNED = "geometry/vggt.safetensors"

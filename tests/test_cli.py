@@ -1,7 +1,10 @@
+import ast
 import json
+import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -194,6 +197,47 @@ def test_a_stage_writes_what_the_next_one_reads(geoevs, tmp_path):
     assert (code, errors) == (0, "")
     assert (tmp_path / "r.npz").stat().st_size > 1000
     assert (tmp_path / "m.npz").stat().st_size > 1000
+
+
+def test_files_of_rows_may_be_listed(geoevs, tmp_path):
+    for number in range(3):
+        write_parquet(tmp_path / f"{number}.parquet", pd.DataFrame({"a": [number]}))
+    (tmp_path / "list").write_text(f"{tmp_path}/2.parquet\n{tmp_path}/1.parquet\n")
+    out = ("--out", tmp_path / "all.parquet")
+    listed = ("--list", tmp_path / "list")
+    assert geoevs("collect", tmp_path / "0.parquet", *listed, *out) == (0, "", "")
+    assert pd.read_parquet(tmp_path / "all.parquet")["a"].tolist() == [0, 2, 1]
+    (tmp_path / "list").write_text("")
+    code, _, errors = geoevs("collect", *listed, *out)
+    assert code == 1
+    assert errors == (
+        f"error: there are no files to make {tmp_path}/all.parquet from; name at least one\n"
+    )
+    (tmp_path / "list").write_bytes(b"\xff\xfe")
+    assert "is missing; make or copy it there" in geoevs("collect", *listed, *out)[2]
+
+
+def test_rules_collect_more_files_than_an_argument_list_holds(tmp_path):
+    """As Snakemake runs a long command: from a script."""
+    rules = Path("workflow/rules/common.smk").read_text(encoding="utf-8")
+    command = ast.literal_eval(re.search(r"^COLLECT = \((.*?)^\)", rules, re.M | re.S)[1].strip())
+    for part in ("{input:q}", "{log:q}", "{output:q}"):
+        assert part in command
+    names = [tmp_path / f"{number:0100}.parquet" for number in range(30_000)]
+    command = command.replace("{input:q}", " ".join(map(str, names)))
+    command = command.replace("{log:q}", f"{tmp_path}/log")
+    command = command.replace("{output:q}", f"{tmp_path}/all.parquet")
+    assert len(command) > os.sysconf("SC_ARG_MAX")
+    (tmp_path / "script.sh").write_text(f"set -euo pipefail; {command}")
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    run = subprocess.run(
+        ["bash", tmp_path / "script.sh"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    assert run.stderr == f"error: {names[0]} is missing; make or copy it there\n"
 
 
 def test_rows_of_many_jobs_become_one_file(geoevs, tmp_path):

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from baselines.freevs.pseudo_images import Sweeps
-from geoevs.conditions.bits import pack_masks, unpack_masks
-from geoevs.conditions.parts import join_parts
+from geoevs.conditions.bits import pack_masks
+from geoevs.conditions.parts import join_parts, read_part
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, to_uint8, whole_file, write_arrays
+from geoevs.core.files import to_uint8
+from geoevs.core.mapped import Stack, write_mapped
 from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene
 
@@ -23,6 +24,8 @@ transformation."""
 class Clips:
     """Views of one or more scenes, every camera's frames in their order.
 
+    Those that were read lie on disk, and what is asked for of them comes into memory.
+
     Args:
         rgb: pseudo-images, one for each of SHIFTS; zero where no point is.
         valid: which pixels of them hold a point.
@@ -30,9 +33,9 @@ class Clips:
         scene, camera, frame: which view it is.
     """
 
-    rgb: np.ndarray  # [N, 3, H, W, 3] uint8
-    valid: np.ndarray  # [N, 3, H, W] bool
-    target: np.ndarray  # [N, H, W, 3] uint8
+    rgb: np.ndarray | Stack  # [N, 3, H, W, 3] uint8
+    valid: np.ndarray | Stack  # [N, 3, H, W] bool
+    target: np.ndarray | Stack  # [N, H, W, 3] uint8
     scene: np.ndarray  # [N] str
     camera: np.ndarray  # [N] str
     frame: np.ndarray  # [N] int64
@@ -81,27 +84,20 @@ def make_clips(scene: Scene, advance: Callable[[], None]) -> Clips:
 
 
 def write_clips(path: Path, clips: Clips) -> None:
-    """Write clips as one .npz, `valid` as packed bits, whole or not at all."""
+    """Write clips (see `write_mapped`), `valid` as packed bits, whole or not at all."""
     arrays = {field.name: getattr(clips, field.name) for field in fields(Clips)}
-    masks = arrays["valid"].reshape(-1, *arrays["valid"].shape[2:])
-    write_arrays(path, {**arrays, "valid": pack_masks(masks)})
+    masks = np.asarray(clips.valid).reshape(-1, *clips.valid.shape[2:])
+    write_mapped(path, {**arrays, "valid": pack_masks(masks)})
 
 
 def read_clips(paths: Sequence[Path]) -> Clips:
     """Read the clips of many scenes, in the order given.
 
     Raises:
-        GeoEvsError: there is no file, one is missing or damaged, or their resolutions differ.
+        GeoEvsError: there is no file, one is missing or damaged (see `read_part`), or
+            their resolutions differ.
     """
     if not paths:
         raise GeoEvsError("there are no clips; name scenes under partitions.clips of a data set")
-    return Clips(**join_parts([_read_part(path) for path in paths], paths, "clips"))
-
-
-def _read_part(path: Path) -> dict[str, np.ndarray]:
-    arrays = read_arrays(path)
-    with whole_file(path):
-        part = {field.name: arrays[field.name] for field in fields(Clips)}
-        shape = part["rgb"].shape[:4]
-        part["valid"] = unpack_masks(part["valid"], *shape[2:]).reshape(shape)
-    return part
+    parts = [read_part(path, shown=(len(SHIFTS),)) for path in paths]
+    return Clips(**join_parts(parts, paths, "clips"))

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -72,9 +73,9 @@ class FreeVSTask:
         self._clips, self._settings = clips, settings
         self._sampling = settings.sampling
         self._starts = clips.starts(settings.frames)
-        target = clips.target[:, None]
-        self._latents = _encode(self._autoencoder, target, np.ones(target.shape[:-1], bool))[:, 0]
-        self._filled = _encode(self._autoencoder, clips.rgb, clips.valid)
+        self._latents = _encode(self._autoencoder, partial(_targets, clips), len(clips))
+        filled = _encode(self._autoencoder, partial(_shown, clips), len(clips) * len(SHIFTS))
+        self._filled = filled.unflatten(0, (len(clips), len(SHIFTS)))
         spread = float((self._latents[:, None] - self._filled).std())
         with seeded(seed, "freevs"):
             made = ClipDenoiser.from_prior(prior, settings.frames, spread)
@@ -133,17 +134,32 @@ class FreeVSTask:
         return np.concatenate([np.concatenate(list(column)) for column in columns], axis=1)
 
 
-def _encode(
-    autoencoder: Autoencoder,
-    images: np.ndarray,  # [N, K, H, W, 3] uint8
-    valid: np.ndarray,  # [N, K, H, W] bool
-) -> Tensor:
-    """[N, K, L, h, w] latents of filled images, once: they are the same at every step."""
+Images = tuple[np.ndarray, np.ndarray]
+"""Some images, [M, H, W, 3] uint8, and which of their pixels count, [M, H, W] bool."""
+
+
+def _targets(clips: Clips, part: slice) -> Images:
+    """Some of the recorded views."""
+    target = clips.target[part]
+    return target, np.ones(target.shape[:-1], bool)
+
+
+def _shown(clips: Clips, part: slice) -> Images:
+    """Some of all views' pseudo-images, those of a view one behind the other."""
+    count = len(SHIFTS)
+    views = slice(part.start // count, -(-part.stop // count))
+    inside = slice(part.start - views.start * count, part.stop - views.start * count)
+    rgb, valid = clips.rgb[views], clips.valid[views]
+    return rgb.reshape(-1, *rgb.shape[2:])[inside], valid.reshape(-1, *valid.shape[2:])[inside]
+
+
+def _encode(autoencoder: Autoencoder, read: Callable[[slice], Images], count: int) -> Tensor:
+    """[count, L, h, w] latents of filled images, once: they are the same at every step."""
     device = next(autoencoder.parameters()).device
-    flat, masks = images.reshape(-1, *images.shape[2:]), valid.reshape(-1, *valid.shape[2:])
 
     def encode(part: slice) -> Tensor:
-        shown = to_tensor(flat[part]).to(device)
-        return filled_latents(autoencoder, shown, torch.from_numpy(masks[part])[:, None].to(device))
+        images, valid = read(part)
+        shown = to_tensor(images).to(device)
+        return filled_latents(autoencoder, shown, torch.from_numpy(valid)[:, None].to(device))
 
-    return encode_in_parts(encode, len(flat), device).unflatten(0, valid.shape[:2])
+    return encode_in_parts(encode, count, device)

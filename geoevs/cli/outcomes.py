@@ -34,6 +34,7 @@ def register(app: typer.Typer) -> None:
         grid,
         chart,
         report,
+        hash,
         manifest,
         install_weights,
         failures,
@@ -45,13 +46,25 @@ def register(app: typer.Typer) -> None:
 
 
 def collect(
-    parts: Annotated[list[Path], typer.Argument(help="Parquet files with the same columns.")],
     out: Out,
+    parts: Annotated[
+        list[Path] | None, typer.Argument(help="Parquet files with the same columns.")
+    ] = None,
+    listed: Annotated[
+        typer.FileText | None,
+        typer.Option(
+            "--list",
+            help="A file that names more of them, one a line; -: the input.",
+            encoding="utf-8",
+            errors="surrogateescape",
+        ),
+    ] = None,
 ) -> None:
     """Put the rows of many jobs into one Parquet file, in the order given, one job at a time."""
     from geoevs.core.parquet import join_parquet
 
-    join_parquet(out, parts)
+    more = [] if listed is None else map(Path, listed.read().splitlines())
+    join_parquet(out, [*(parts or []), *more])
 
 
 def entrants(
@@ -71,9 +84,12 @@ def grid(
     name: Annotated[str, typer.Argument(help="The table whose targets to show.")],
     run: Run,
     scenes: Annotated[list[str], typer.Option(help="DATASET/SCENE; repeat for more rows.")],
-    labels: Annotated[list[str], typer.Option(help="An entrant's label; repeat for columns.")],
     keeps: Annotated[str, typer.Option(help="protocol.reference_keep, as JSON.")],
     out: Out,
+    labels: Annotated[
+        list[str] | None,
+        typer.Option(help="An entrant's label; repeat for columns. None: renders were dropped."),
+    ] = None,
     count: Annotated[
         int | None, typer.Option(min=1, help="Random targets, in place of a few telling ones.")
     ] = None,
@@ -84,7 +100,7 @@ def grid(
 
     pairs = scene_pairs(scenes)
     shares = parse_json("--keeps", keeps, list)
-    write_bytes(out, table_grid(name, run, pairs, labels, shares, count))
+    write_bytes(out, table_grid(name, run, pairs, labels or [], shares, count))
 
 
 def chart(
@@ -99,13 +115,16 @@ def chart(
     """Draw speed against accuracy, with the frontier, as CSV, PNG and a page without network."""
     from geoevs.results.chart_pages import write_chart
     from geoevs.results.entrants import Entrants
+    from geoevs.results.rows import read_scores
+    from geoevs.results.table_specs import rows_needed, table_spec
 
+    needed = rows_needed(table_spec(name))
     parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets, layout.SET_SCORES)
     write_chart(
         out,
         name,
-        read_rows(scores, layout.SCORES),
+        read_scores(scores, needed),
         read_rows(costs, layout.COSTS),
         parsed,
         who,
@@ -124,18 +143,29 @@ def report(
 
 
 def manifest(
-    inputs: Annotated[list[Path], typer.Argument(help="Scene stores, weights, score files.")],
+    inputs: Annotated[list[Path], typer.Argument(help="Weights, score files, folders.")],
     config: Annotated[str, typer.Option(help="The merged config, as JSON.")],
     out: Out,
     configfiles: Annotated[
         list[str] | None, typer.Option(help="The files that the config came from; repeat for more.")
+    ] = None,
+    hashed: Annotated[
+        list[Path] | None, typer.Option(help="What `geoevs hash` wrote; repeat for more.")
     ] = None,
 ) -> None:
     """Write down the commit, config, input hashes, versions, machine and seed of a run."""
     from geoevs.core.files import write_json
     from geoevs.results.manifest import make_manifest
 
-    write_json(out, make_manifest(parse_json("--config", config), inputs, configfiles or []))
+    settings = parse_json("--config", config)
+    write_json(out, make_manifest(settings, inputs, configfiles or [], hashed or []))
+
+
+def hash(path: Annotated[Path, typer.Argument(help="A file or folder.")], out: Out) -> None:
+    """Write down the hash of a file or folder, for the manifest."""
+    from geoevs.results.manifest import write_hash
+
+    write_hash(path, out)
 
 
 def install_weights(

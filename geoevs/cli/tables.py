@@ -44,24 +44,26 @@ def table(
     """Make one table as CSV, Markdown and LaTeX."""
     from geoevs.results.entrants import Entrants
     from geoevs.results.formats import write_table
-    from geoevs.results.table_specs import table_spec
+    from geoevs.results.rows import read_scores
+    from geoevs.results.table_specs import rows_needed, table_spec
 
-    table_spec(name)  # a mistake in the name is said before one in the files
+    needed = rows_needed(table_spec(name))  # a mistake in the name is said before one in the files
     parsed, who = table_settings(settings), Entrants.read(entrants)
     distances = None if sets is None else read_rows(sets, layout.SET_SCORES)
-    write_table(out, name, read_rows(scores, layout.SCORES), parsed, who, distances)
+    write_table(out, name, read_scores(scores, needed), parsed, who, distances)
 
 
 def ablation_table(
     scores: Scores, settings: TablesSection, entrants: EntrantsFile, out: TableOut
 ) -> None:
     """Compare a method's variants with the full model, as CSV, Markdown and LaTeX."""
-    from geoevs.results.ablation import write_ablation_table
+    from geoevs.results.ablation import rows_needed, write_ablation_table
     from geoevs.results.entrants import Entrants
+    from geoevs.results.rows import read_scores
 
     who = Entrants.read(entrants)
     parsed = table_settings(settings)
-    write_ablation_table(out, read_rows(scores, layout.SCORES), parsed, who)
+    write_ablation_table(out, read_scores(scores, rows_needed(parsed)), parsed, who)
 
 
 def cost_table(costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
@@ -86,12 +88,13 @@ def geometry_table(
 
 def complexity_table(scores: Scores, costs: Costs, entrants: EntrantsFile, out: TableOut) -> None:
     """Compare the sizes that methods chose with fixed ones, as CSV and Markdown."""
-    from geoevs.results.complexity import write_complexity_table
+    from geoevs.results.complexity import ROWS_NEEDED, write_complexity_table
     from geoevs.results.entrants import Entrants
+    from geoevs.results.rows import read_scores
 
     who = Entrants.read(entrants)
     write_complexity_table(
-        out, read_rows(scores, layout.SCORES), read_rows(costs, layout.COSTS), who
+        out, read_scores(scores, ROWS_NEEDED), read_rows(costs, layout.COSTS), who
     )
 
 
@@ -103,18 +106,21 @@ def complexity_chart(
     out: Annotated[Path, typer.Option(help="Path without suffix; .csv, .png and .html are added.")],
 ) -> None:
     """Draw accuracy over size with the chosen one, as CSV, PNG and a page without network."""
+    from geoevs.results.complexity import ROWS_NEEDED
     from geoevs.results.complexity_chart import write_size_chart
     from geoevs.results.entrants import Entrants
+    from geoevs.results.rows import read_scores
 
     parsed, who = table_settings(settings), Entrants.read(entrants)
     write_size_chart(
-        out, read_rows(scores, layout.SCORES), read_rows(costs, layout.COSTS), parsed, who
+        out, read_scores(scores, ROWS_NEEDED), read_rows(costs, layout.COSTS), parsed, who
     )
 
 
 def rank_agreement(scores: Scores, settings: TablesSection, out: TableOut) -> None:
     """Compare the order of methods with the paper's, as CSV and Markdown."""
-    from geoevs.results.rank_agreement import write_rank_agreement
+    from geoevs.results.rank_agreement import ROWS_NEEDED, write_rank_agreement
+    from geoevs.results.rows import read_scores
 
     parsed = table_settings(settings)
-    write_rank_agreement(out, read_rows(scores, layout.SCORES), parsed)
+    write_rank_agreement(out, read_scores(scores, ROWS_NEEDED), parsed)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from geoevs.conditions.bits import pack_masks, unpack_masks
+from geoevs.conditions.parts import check_arrays
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, whole_file
+from geoevs.core.mapped import Stack, read_mapped
 from geoevs.geometry.lift import lift_frame
 from geoevs.geometry.point_maps import PointMaps
 from geoevs.methods.contract import Views
@@ -31,7 +32,7 @@ class MaskLibrary:
 
     Args:
         height, width: of every mask, in pixels.
-        packed: the masks' bits (see `pack_masks`).
+        packed: the masks' bits (see `pack_masks`); of a library that was read they lie on disk.
         scene, frame: whose cloud a mask is of.
         yaw: degrees from the front camera, left positive.
         lateral: metres to the left.
@@ -44,7 +45,7 @@ class MaskLibrary:
 
     height: int
     width: int
-    packed: np.ndarray  # [N, ceil(H W / 8)] uint8
+    packed: np.ndarray | Stack  # [N, ceil(H W / 8)] uint8
     scene: np.ndarray  # [N] str
     frame: np.ndarray  # [N] int64
     yaw: np.ndarray  # [N] float64
@@ -132,9 +133,9 @@ def make_artifact_masks(
     )
 
 
-def mask_arrays(library: MaskLibrary) -> dict[str, np.ndarray]:
-    """A library, or one scene's part of it, as arrays of an .npz file."""
-    arrays = {name: getattr(library, name) for name in LABELS}
+def mask_arrays(library: MaskLibrary) -> dict[str, np.ndarray | Stack]:
+    """A library, or one scene's part of it, as arrays of `write_mapped`."""
+    arrays: dict[str, np.ndarray | Stack] = {name: getattr(library, name) for name in LABELS}
     arrays |= {"size": np.array([library.height, library.width]), "masks": library.packed}
     return {PREFIX + name: array for name, array in arrays.items()}
 
@@ -143,13 +144,18 @@ def read_artifact_masks(path: Path) -> MaskLibrary:
     """Read the library among a file's arrays (see `mask_arrays`).
 
     Raises:
-        GeoEvsError: the file is missing or damaged, or holds no masks.
+        GeoEvsError: the file is missing or damaged, an array is missing or another one, or there
+            are no masks.
     """
-    arrays = read_arrays(path, PREFIX)
-    with whole_file(path):
-        height, width = map(int, arrays["size"])
-        packed, labels = arrays["masks"], {name: arrays[name] for name in LABELS}
-    return MaskLibrary(height, width, packed, **labels, origin=str(path))
+    arrays = read_mapped(path, PREFIX)
+    check_arrays(path, arrays, {"size": ("i", (2,))})
+    height, width = map(int, arrays["size"])
+    count = len(arrays["masks"]) if "masks" in arrays else 0
+    check_arrays(path, arrays, {"masks": ("u", (count, -(-height * width // 8)))})
+    kinds = zip(LABELS, ("U", "i", "if", "if", "f"), strict=True)
+    check_arrays(path, arrays, {name: (kind, (count,)) for name, kind in kinds})
+    labels = {name: np.asarray(arrays[name]) for name in LABELS}
+    return MaskLibrary(height, width, arrays["masks"], **labels, origin=str(path))
 
 
 def join_artifact_masks(parts: Sequence[MaskLibrary]) -> MaskLibrary:
@@ -163,11 +169,9 @@ def join_artifact_masks(parts: Sequence[MaskLibrary]) -> MaskLibrary:
     first = parts[0]
     for part in parts:
         check_size(part, first.height, first.width, f"those of {first.origin}")
-    columns = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("packed", *LABELS)
-    }
-    return MaskLibrary(first.height, first.width, **columns)
+    labels = {name: np.concatenate([getattr(part, name) for part in parts]) for name in LABELS}
+    stacks = [Stack([part.packed]) for part in parts]
+    return MaskLibrary(first.height, first.width, Stack.join(stacks), **labels)
 
 
 def check_size(library: MaskLibrary, height: int, width: int, others: str) -> None:

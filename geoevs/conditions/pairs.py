@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geoevs.conditions.bits import pack_masks, unpack_masks
-from geoevs.conditions.parts import join_parts
+from geoevs.conditions.bits import pack_masks
+from geoevs.conditions.parts import join_parts, read_part
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, to_uint8, whole_file
+from geoevs.core.files import to_uint8
+from geoevs.core.mapped import Stack
 from geoevs.geometry.lift import lift_view
 from geoevs.geometry.point_maps import PointMaps
 from geoevs.projection import Raster, rasterize_points
@@ -22,7 +23,9 @@ PREFIX = "pairs/"
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of one or more scenes, held as 8-bit images: a pair takes 7 bytes a pixel.
+    """Pairs of one or more scenes, 8-bit images: a pair takes 7 bytes a pixel.
+
+    Those that were read lie on disk, and what is asked for of them comes into memory.
 
     Args:
         rgb: condition maps X, zero where invalid.
@@ -31,9 +34,9 @@ class Pairs:
         scene, camera, frame: which view a pair is of.
     """
 
-    rgb: np.ndarray  # [N, H, W, 3] uint8
-    valid: np.ndarray  # [N, H, W] bool
-    target: np.ndarray  # [N, H, W, 3] uint8
+    rgb: np.ndarray | Stack  # [N, H, W, 3] uint8
+    valid: np.ndarray | Stack  # [N, H, W] bool
+    target: np.ndarray | Stack  # [N, H, W, 3] uint8
     scene: np.ndarray  # [N] str
     camera: np.ndarray  # [N] str
     frame: np.ndarray  # [N] int64
@@ -73,9 +76,9 @@ def make_pairs(scene: Scene, point_maps: PointMaps, advance: Callable[[], None])
 
 
 def pair_arrays(pairs: Pairs) -> dict[str, np.ndarray]:
-    """Pairs as arrays of an .npz file, `valid` as packed bits; `read_pairs` reads them."""
+    """Pairs as arrays of `write_mapped`, `valid` as packed bits; `read_pairs` reads them."""
     arrays = {field.name: getattr(pairs, field.name) for field in fields(Pairs)}
-    arrays["valid"] = pack_masks(pairs.valid)
+    arrays["valid"] = pack_masks(np.asarray(pairs.valid))
     return {PREFIX + name: array for name, array in arrays.items()}
 
 
@@ -83,18 +86,11 @@ def read_pairs(paths: Sequence[Path]) -> Pairs:
     """Read the pairs of many scenes, in the order given.
 
     Raises:
-        GeoEvsError: there is no file, one is missing or damaged, or their resolutions differ.
+        GeoEvsError: there is no file, one is missing or damaged (see `read_part`), or
+            their resolutions differ.
     """
     if not paths:
         raise GeoEvsError(
             "there are no training pairs; name training scenes under partitions.train of a data set"
         )
-    return Pairs(**join_parts([_read_part(path) for path in paths], paths, "pairs"))
-
-
-def _read_part(path: Path) -> dict[str, np.ndarray]:
-    arrays = read_arrays(path, PREFIX)
-    with whole_file(path):
-        part = {field.name: arrays[field.name] for field in fields(Pairs)}
-        part["valid"] = unpack_masks(part["valid"], *part["rgb"].shape[1:3])
-    return part
+    return Pairs(**join_parts([read_part(path, PREFIX) for path in paths], paths, "pairs"))

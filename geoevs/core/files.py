@@ -95,6 +95,21 @@ def write_bytes(path: Path, data: bytes) -> None:
     write_files({Path(path): data})
 
 
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """A temporary file that becomes `path` when the block ends well, and vanishes when it fails.
+
+    Raises:
+        GeoEvsError: the disk is full, or the place is read-only.
+    """
+    path = _real(path)
+    with _explain_write_failure(path), _temporary_file(path) as (temporary, handle):
+        yield temporary
+        os.fsync(handle)
+        os.chmod(temporary, 0o666 & ~_UMASK)
+        os.replace(temporary, path)
+
+
 def link_file(source: Path, path: Path) -> None:
     """Give `source` a second name, or copy it where the file system cannot; whole or not at all.
 

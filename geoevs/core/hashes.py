@@ -24,6 +24,20 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def hash_path(path: Path) -> str:
+    """SHA-256 of a file, or of the list of a folder's files with their own.
+
+    Raises:
+        GeoEvsError: there is no such file or folder.
+    """
+    path = Path(path)
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        listed = [[file.relative_to(path).as_posix(), hash_path(file)] for file in files]
+        return hashlib.sha256(json.dumps(listed).encode()).hexdigest()
+    return file_hash(path)
+
+
 def outside_hash(paths: Iterable[Path]) -> str:
     """Hash of where files lie, and of their sizes and times, without reading them.
 

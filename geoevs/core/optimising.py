@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import whole_file, write_bytes, write_image, write_text
+from geoevs.core.mapped import Stack, pieces
 from geoevs.core.randomness import Rng
 
 STATE = "state.pt"
@@ -162,14 +163,15 @@ def finish(folder: Path) -> None:
 
 
 def fingerprint(*parts: Any) -> str:
-    """Hash of arrays, tensors and JSON-able values, in their order."""
+    """Hash of arrays, on disk or not, tensors and JSON-able values, in their order."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Tensor):
             part = part.detach().cpu().numpy()
-        if isinstance(part, np.ndarray):
+        if isinstance(part, np.ndarray | Stack):
             digest.update(f"{part.dtype}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).data)
+            for piece in pieces(part):
+                digest.update(np.ascontiguousarray(piece).data)
         else:
             digest.update(json.dumps(part).encode())
     return digest.hexdigest()

@@ -6,16 +6,17 @@ are put together. A seal keeps nobody from making another one.
 
 import hashlib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import check_file, whole_file, write_bytes
+from geoevs.core.files import check_file, new_file, whole_file, write_bytes
 
 LONGEST_TEXT = 10_000
 """Most bytes of a text in a table."""
@@ -31,6 +32,10 @@ KINDS = {
 }
 """What a column of a type holds, in words, and the test of its type in a file."""
 
+GROUP_ROWS = 2**17
+"""Rows of a group in a file that is put together: some 10 MB in memory, and few enough groups that
+a reader's work is with rows."""
+
 SEAL = b"geoevs.seal"
 """The key of the seal in a schema's metadata."""
 
@@ -45,22 +50,26 @@ def write_parquet(path: Path, rows: pd.DataFrame) -> None:
 
 
 def join_parquet(path: Path, parts: Sequence[Path]) -> None:
-    """Put the rows of sealed files into one, in the order given, one file in memory at a time.
+    """Put the rows of sealed files into one, in the order given, in groups of GROUP_ROWS.
+
+    Besides one file, no more rows than a group has are in memory at once.
 
     Args:
         path: what to write.
         parts: Parquet files with the same columns, at least one.
 
     Raises:
-        GeoEvsError: a file is missing, damaged, without a seal, changed since it was sealed, or has
-            other columns than the first.
+        GeoEvsError: there is no file, or one is missing, damaged, without a seal, changed since it
+            was sealed, or has other columns than the first.
     """
-    buffer = io.BytesIO()
+    if not parts:
+        raise GeoEvsError(f"there are no files to make {path} from; name at least one")
     with whole_file(parts[0]):
         schema = pq.read_schema(parts[0])
     metadata = {key: value for key, value in (schema.metadata or {}).items() if key != SEAL}
     schema = schema.with_metadata(metadata)
-    with pq.ParquetWriter(buffer, schema) as writer:
+    with new_file(path) as partial, pq.ParquetWriter(partial, schema) as writer:
+        waiting: list[pa.Table] = []
         for part in parts:
             with whole_file(part):
                 rows = pq.read_table(part)
@@ -69,25 +78,35 @@ def join_parquet(path: Path, parts: Sequence[Path]) -> None:
                     f"{part} has other columns than {parts[0]}; delete it and make it again"
                 )
             check_seal(part, rows)
-            writer.write_table(rows.replace_schema_metadata(metadata))
-    write_bytes(path, buffer.getvalue())
+            waiting.append(rows.replace_schema_metadata(metadata))
+            if sum(map(len, waiting)) >= GROUP_ROWS:
+                writer.write_table(pa.concat_tables(waiting), GROUP_ROWS)
+                waiting = []
+        writer.write_table(pa.concat_tables(waiting) if waiting else schema.empty_table())
 
 
 def read_parquet(
     path: Path,
     types: Mapping[str, str],
     columns: Sequence[str] | None = None,
-    where: tuple[str, str] | None = None,
+    where: Mapping[str, Collection[str]] | None = None,
+    and_first_of: Sequence[str] = (),
+    categories: bool = False,
 ) -> pd.DataFrame:
     """Read a table that may be a stranger's: its columns are those asked for, or it is refused.
 
-    What else lies in the file, its notes for pandas among it, is not looked at.
+    It is read in parts of GROUP_ROWS, of which only the rows that are kept stay in memory. What
+    else lies in the file, its notes for pandas among it, is not looked at.
 
     Args:
         path: a Parquet file.
         types: of every column that such tables have: `string`, `int64` or `float64`.
         columns: those to read; all of them by default.
-        where: a column of text and the value that rows must have there to be kept.
+        where: columns of text among them, and the values of which rows must have one to be kept.
+        and_first_of: columns among them; the first row of every combination of their values is
+            kept too.
+        categories: whether texts become categories, in the order of the alphabet, which take a
+            byte or two a row.
 
     Raises:
         GeoEvsError: the file is missing, damaged or a bomb, or a column is missing, has another
@@ -104,22 +123,59 @@ def read_parquet(
         raise GeoEvsError(f"{path} claims {count} rows, more than it can hold; ask for it again")
     for name in columns:
         _check_column(path, schema, name, types[name])
+    kept: list[pa.Table] = []
+    seen: set[tuple] = set()
     with whole_file(path):
-        table = file.read(columns)
-        lengths = {name: _longest(table[name].unique()) for name in texts}
-        if where is not None:
-            column, value = where
-            table = table.filter(pc.equal(table[column], value))
-    for name in columns:
-        if types[name] != "float64" and table[name].null_count:
+        for batch in file.iter_batches(GROUP_ROWS, columns=columns):
+            rows = pa.Table.from_batches([batch]).select(columns)
+            _check_cells(path, rows, types)
+            if where is not None:
+                rows = rows.filter(_is_kept(rows, where, and_first_of, seen))
+            kept.append(rows)
+        table = pa.concat_tables(kept) if kept else file.read(columns).select(columns)
+        frame = table.to_pandas(ignore_metadata=True)
+    dtypes = {name: types[name] for name in columns}
+    if categories:
+        dtypes |= {name: _alphabetical(frame[name]) for name in texts}
+    return frame.astype(dtypes)
+
+
+def _is_kept(
+    rows: pa.Table,
+    where: Mapping[str, Collection[str]],
+    and_first_of: Sequence[str],
+    seen: set[tuple],
+) -> np.ndarray:
+    """(N,) bool: which rows to keep; `seen` are combinations of earlier rows, and is added to."""
+    keep = np.ones(len(rows), bool)
+    for name, values in where.items():
+        column = rows[name].combine_chunks()
+        meets = pc.is_in(column.dictionary, pa.array(list(values), column.dictionary.type))
+        keep &= meets.take(column.indices).to_numpy(zero_copy_only=False)
+    if and_first_of:
+        keys = rows.select(list(and_first_of)).to_pandas(ignore_metadata=True)
+        firsts = np.flatnonzero(~keys.duplicated())
+        for row, key in zip(firsts, keys.iloc[firsts].itertuples(index=False), strict=True):
+            keep[row] |= tuple(key) not in seen
+            seen.add(tuple(key))
+    return keep
+
+
+def _alphabetical(texts: pd.Series) -> pd.CategoricalDtype:
+    """Categories that sort as their texts do."""
+    return pd.CategoricalDtype(sorted(texts.unique()))
+
+
+def _check_cells(path: Path, rows: pa.Table, types: Mapping[str, str]) -> None:
+    """Refuse empty cells of texts and whole numbers, and texts that are too long."""
+    for name in rows.column_names:
+        if types[name] != "float64" and rows[name].null_count:
             raise GeoEvsError(f"{path}: column '{name}' has empty cells; make the file again")
-        if lengths.get(name, 0) > LONGEST_TEXT:
+        if types[name] == "string" and _longest(rows[name].unique()) > LONGEST_TEXT:
             raise GeoEvsError(
                 f"{path}: column '{name}' holds a text of more than {LONGEST_TEXT} bytes; "
                 "make the file again"
             )
-    with whole_file(path):
-        return table.to_pandas(ignore_metadata=True).astype({name: types[name] for name in columns})
 
 
 def _check_column(path: Path, schema: pa.Schema, name: str, kind: str) -> None:

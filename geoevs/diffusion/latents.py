@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from geoevs.core.mapped import Stack
 from geoevs.core.networks import mixed_precision
 from geoevs.core.randomness import Rng
 from geoevs.diffusion.autoencoder import Autoencoder, to_tensor
@@ -35,7 +36,7 @@ def denoising_losses(
 
 def encode_images(
     autoencoder: Autoencoder,
-    images: np.ndarray,  # [N, H, W, 3] uint8
+    images: np.ndarray | Stack,  # [N, H, W, 3] uint8
 ) -> Tensor:
     """[N, L, h, w] latents of all images, for a training that sees them at many steps."""
     device = next(autoencoder.parameters()).device

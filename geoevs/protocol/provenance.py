@@ -11,10 +11,11 @@ from geoevs.core.stamps import MADE_WITH, Stamp, check_stamp, settings_hash
 from geoevs.protocol.condition_masks import ConditionMasks
 from geoevs.protocol.entries import read_outcomes
 from geoevs.protocol.reference import References
+from geoevs.protocol.targets import without_usual
 from geoevs.run import Answers
 from geoevs.scenes.store import Scene
 
-TARGET_SETTINGS = ("lateral", "pose_sweep", "masked", "levels")
+TARGET_SETTINGS = ("lateral", "every", "pose_sweep", "masked", "levels")
 """The keys of the config's protocol and stability sections that targets are made with."""
 
 
@@ -45,7 +46,8 @@ def target_settings(settings: Mapping[str, Any], seed: int) -> str:
         settings: the config's protocol section, or the stability section's part of it.
         seed: of the run.
     """
-    kept = {name: value for name, value in settings.items() if name in TARGET_SETTINGS}
+    asked = without_usual(settings)
+    kept = {name: value for name, value in asked.items() if name in TARGET_SETTINGS}
     return settings_hash([kept, seed])
 
 

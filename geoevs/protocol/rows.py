@@ -11,6 +11,7 @@ from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.projection import FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE
 from geoevs.protocol.metrics import METRICS, SSIM_MIN_EFFECTIVE_PIXELS, SSIM_RADIUS, SSIM_SIGMA
+from geoevs.protocol.targets import without_usual
 from geoevs.scenes.store import Scene
 
 SCORE_TYPES = {
@@ -90,7 +91,7 @@ def protocol_fingerprint(scene: Scene, protocol: dict[str, Any]) -> str:
         "resolution": [first.height, first.width],
         "cameras": scene.cameras,
         "rig": dataclasses.asdict(scene.info.rig),
-        "protocol": protocol,
+        "protocol": without_usual(protocol),
         "metrics": {name: [spec.kind.__name__, spec.region] for name, spec in METRICS.items()},
         "ssim": [SSIM_RADIUS, SSIM_SIGMA, SSIM_MIN_EFFECTIVE_PIXELS],
         "footprint": [FOOTPRINT_RADIUS, FOOTPRINT_TOLERANCE],

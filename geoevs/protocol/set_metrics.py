@@ -5,7 +5,7 @@ it is the energy distance, estimated as KID is, of statistics of derivatives at 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
@@ -23,6 +23,8 @@ LEVELS = 4
 """Most levels of the pyramid on which texture is measured."""
 SMALLEST_SIDE = 8
 """Pixels that the shorter side of the pyramid's coarsest level has at least."""
+MOST_PAIRS = 2**24
+"""Pairs of views whose kernel is in memory at once: those of 4,096 views, 128 MB a matrix."""
 DARKEST = 0.25 / 255
 """Added to deviations so that logarithms stay finite; less than 8 bits can tell."""
 
@@ -93,23 +95,32 @@ def unbiased_mmd(
     """
     if len(x) < 2:
         return Estimate(np.nan)
-    sums = kernel(x, x) + kernel(y, y)
-    cross = kernel(x, y)
-    sums -= cross + cross.T
-    np.fill_diagonal(sums, 0.0)
     names, index = np.unique(frames, return_inverse=True)
     member = np.eye(len(names))[index]  # [N, F]
-    between = member.T @ sums @ member  # [F, F]
+    between = np.zeros((len(names), len(names)))
+    whole = 0.0
+    for rows in _blocks(len(x)):
+        sums = kernel(x[rows], x) + kernel(y[rows], y)
+        sums -= kernel(x[rows], y) + kernel(x, y[rows]).T
+        np.fill_diagonal(sums[:, rows], 0.0)
+        between += member[rows].T @ sums @ member
+        whole += sums.sum()
     counts = member.sum(axis=0)
-    value = sums.sum() / (len(x) * (len(x) - 1))
+    value = whole / (len(x) * (len(x) - 1))
     if len(names) < 3:
         return Estimate(float(value))
     left = len(x) - counts
-    total = sums.sum() - 2 * between.sum(axis=1) + np.diag(between)
+    total = whole - 2 * between.sum(axis=1) + np.diag(between)
     without = total / (left * (left - 1))
     spread = np.sqrt((len(names) - 1) * np.mean((without - without.mean()) ** 2))
     reach = NormalDist().inv_cdf(0.5 + confidence / 2) * spread
     return Estimate(float(value), float(value - reach), float(value + reach))
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """All of `count` views in blocks, each with at most MOST_PAIRS pairs with all views."""
+    height = max(1, MOST_PAIRS // count)
+    yield from (slice(first, first + height) for first in range(0, count, height))
 
 
 def kernel_distance(
@@ -167,9 +178,18 @@ def frechet_distance(
         return Estimate(np.nan)
     # The trace of (A B) ** 0.5, from factors A = a'a and B = b'b: the singular values of a b'.
     a, b = ((z - z.mean(axis=0)) / np.sqrt(len(z) - 1) for z in (x, y))
+    a, b = _no_taller(a), _no_taller(b)
     root = np.linalg.svd(a @ b.T, compute_uv=False).sum()
     difference = np.square(x.mean(axis=0) - y.mean(axis=0)).sum()
     return Estimate(float(difference + np.square(a).sum() + np.square(b).sum() - 2 * root))
+
+
+def _no_taller(factor: np.ndarray) -> np.ndarray:
+    """A factor a of a'a with as many rows as columns at most: a triangle, where a has more."""
+    if len(factor) <= factor.shape[1]:
+        return factor
+    triangle: Any = np.linalg.qr(factor, mode="r")
+    return np.asarray(triangle)
 
 
 @dataclass(frozen=True)
@@ -227,4 +247,5 @@ def real_floor(
     if not shared:
         return np.nan
     x, y = (half[:shared] for half in halves)
-    return metric.distance(x, y, np.arange(shared), 0.5).value
+    one_frame = np.zeros(shared)  # which leaves out the interval
+    return metric.distance(x, y, one_frame, 0.5).value

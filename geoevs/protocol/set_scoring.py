@@ -1,8 +1,8 @@
 """Rows of distances between sets of images: one a data set, split, entrant and metric."""
 
 import math
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import pandas as pd
 
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
 from geoevs.protocol.pictures import read_view
-from geoevs.protocol.set_metrics import SET_METRICS, SetMetric, real_floor, standardise
+from geoevs.protocol.set_metrics import SET_METRICS, real_floor, standardise
 from geoevs.protocol.weights import UNAVAILABLE
 from geoevs.run import Answers
 
@@ -24,8 +24,32 @@ SET_TYPES = {
     **dict.fromkeys(("views", "failed"), "int64"),
     **dict.fromkeys(("status", "reason"), "string"),
 }
-Pair = tuple[str, np.ndarray, np.ndarray]
-"""The frame of a view, what was rendered and what is true, both (H, W, 3) in [0, 1]."""
+Describe = Callable[[np.ndarray], np.ndarray]
+"""From an image, (H, W, 3) in [0, 1], to its features, (D,)."""
+
+
+@dataclass
+class DescribedViews:
+    """A split's views, of which features are kept and no image is.
+
+    Args:
+        describers: what describes them.
+        frames: the frame of each view that was rendered.
+        features: by describer, the features (2, D) of what was rendered and of what is true.
+        failures: the reason of each view that was not rendered.
+    """
+
+    describers: Sequence[Describe]
+    frames: list[str] = field(default_factory=list)
+    features: dict[Describe, list[np.ndarray]] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    def add(self, frame: str, rendered: np.ndarray, true: np.ndarray) -> None:
+        """Describe a view by its two images, (H, W, 3) in [0, 1] each."""
+        self.frames.append(frame)
+        for describe in self.describers:
+            both = np.array([describe(rendered), describe(true)])
+            self.features.setdefault(describe, []).append(both)
 
 
 def set_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
@@ -45,8 +69,9 @@ def score_sets(
         scenes: the test scenes of it.
         confidence: of the intervals, such as 0.95.
     """
-    pairs: dict[str, list[Pair]] = {split: [] for split in SET_SPLITS}
-    failures: dict[str, list[str]] = {split: [] for split in SET_SPLITS}
+    metrics = SET_METRICS.values()
+    measured = dict.fromkeys(metric.features for metric in metrics if not metric.missing())
+    views = {split: DescribedViews(list(measured)) for split in SET_SPLITS}
     for scene in scenes:
         answers = Answers(run, dataset, scene)
         renders = answers.renders(entry.label)
@@ -59,46 +84,40 @@ def score_sets(
                 continue
             rendered, outcome = read_view(renders, target, outcomes[target.sources])
             if rendered is None:
-                failures[target.split].append(outcome["reason"])
+                views[target.split].failures.append(outcome["reason"])
                 continue
             ego = answers.ego_mask(target)
             if ego is not None:  # alike in both, so that its pixels count in no distance
                 rendered = np.where(ego[..., None], dense, rendered)
-            pairs[target.split].append((f"{scene}/{target.frame:06d}", rendered, dense))
+            views[target.split].add(f"{scene}/{target.frame:06d}", rendered, dense)
     identity = {"method": entry.method, "variant": entry.variant, "seed": entry.seed}
     return [
         {"dataset": dataset, "split": split, **identity, **row}
-        for split in SET_SPLITS
-        if pairs[split] or failures[split]
-        for row in _rows(pairs[split], failures[split], confidence)
+        for split, seen in views.items()
+        if seen.frames or seen.failures
+        for row in _rows(seen, confidence)
     ]
 
 
-def _rows(pairs: list[Pair], failures: list[str], confidence: float) -> list[dict[str, Any]]:
+def _rows(views: DescribedViews, confidence: float) -> list[dict[str, Any]]:
     """One row a metric."""
     blank = {
         **dict.fromkeys(("value", "low", "high", "floor"), math.nan),
-        "views": len(pairs),
-        "failed": len(failures),
+        "views": len(views.frames),
+        "failed": len(views.failures),
         "reason": "",
     }
-    frames = np.array([frame for frame, _, _ in pairs])
-
-    @cache
-    def described(metric: SetMetric) -> tuple[np.ndarray, np.ndarray]:
-        features = [[metric.features(image) for image in pair[1:]] for pair in pairs]
-        return tuple(np.array(features).transpose(1, 0, 2))
-
+    frames = np.array(views.frames)
     rows = []
     for name, metric in SET_METRICS.items():
         row = {**blank, "metric": name}
         if missing := metric.missing():
             rows.append({**row, "status": UNAVAILABLE, "reason": missing})
             continue
-        if not pairs:
-            rows.append({**row, "status": FAILED, "reason": failures[0]})
+        if not views.frames:
+            rows.append({**row, "status": FAILED, "reason": views.failures[0]})
             continue
-        rendered, true = described(metric)
+        rendered, true = np.array(views.features[metric.features]).transpose(1, 0, 2)
         if metric.standardised:
             rendered, true = standardise(rendered, true), standardise(true, true)
         estimate = metric.distance(rendered, true, frames, confidence)

@@ -1,7 +1,7 @@
 """Target poses of every split, and the sources each one allows (paper sections 4.1 to 4.4)."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -115,7 +115,9 @@ def source_cameras(scene: Scene, sources: str) -> tuple[str, ...]:
 
 
 def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
-    """Every target of a scene under the config's `protocol` section, in a fixed order.
+    """The targets of a scene under the config's `protocol` section, in a fixed order.
+
+    Masked targets are of the observed and extrapolation targets that there are.
 
     The seed draws which virtual pose masks which target.
 
@@ -130,11 +132,15 @@ def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
             "left": scene.camera(rig.front_left, frame),
             "right": scene.camera(rig.front_right, frame),
         }
-        cameras = [scene.camera(name, frame) for name in scene.cameras]
-        observed = [_target("observed", frame, camera, front, 0.0) for camera in cameras]
+        observed: list[Target] = []
+        if position % _every(protocol, "observed") == 0:
+            cameras = [scene.camera(name, frame) for name in scene.cameras]
+            observed = [_target("observed", frame, camera, front, 0.0) for camera in cameras]
         renamed = replace(front, name=f"interpolation-{front.name}")
         interpolation = Target("interpolation", frame, renamed, FRONT_SIDE, 0.0, 0.0)
-        extrapolation = list(_extrapolation(front, sides, frame, protocol["lateral"]))
+        extrapolation: list[Target] = []
+        if position % _every(protocol, "extrapolation") == 0:
+            extrapolation = list(_extrapolation(front, sides, frame, protocol["lateral"]))
         targets += [*observed, interpolation, *extrapolation]
         if position % protocol["pose_sweep"]["every"] == 0:
             targets += _pose_sweep(front, sides, frame, protocol)
@@ -146,6 +152,17 @@ def make_targets(scene: Scene, protocol: dict, seed: int) -> list[Target]:
                 targets.append(_masked(target, poses[rng.integers(len(poses))]))
     check_distinct([target.key for target in targets], f"scene '{scene.info.name}'")
     return targets
+
+
+def _every(protocol: Mapping[str, Any], split: str) -> int:
+    """Of how many frames one has targets of a split; of every one where the config does not say."""
+    return protocol.get("every", {}).get(split, 1)
+
+
+def without_usual(protocol: Mapping[str, Any]) -> dict[str, Any]:
+    """A protocol section as hashes take it: without `every` where that leaves out no frame."""
+    usual = all(step == 1 for step in protocol.get("every", {}).values())
+    return {key: value for key, value in protocol.items() if key != "every" or not usual}
 
 
 def check_distinct(names: Iterable[str], where: Path | str) -> None:

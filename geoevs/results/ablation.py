@@ -1,7 +1,7 @@
 """What the parts of a method are worth: the full model against its variants (paper table 4)."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,11 @@ together. Empty = not run, or not measurable here.
 Differences
 and spreads are of the views that all compared delivered.
 """
+
+
+def rows_needed(settings: TableSettings) -> dict[str, Sequence[str]]:
+    """What the score rows of the ablation have in their columns of text (see `read_scores`)."""
+    return {"method": [settings.ablation]}
 
 
 def make_ablation_table(

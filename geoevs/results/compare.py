@@ -7,7 +7,7 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.results.formats import arrow, decimals, number, with_interval
-from geoevs.results.table_specs import TABLES, bin_names, table_rows
+from geoevs.results.table_specs import TABLES, bin_names, rows_needed, table_rows
 from geoevs.results.views import paired_of, rows_of
 from geoevs.results.why_lookup import Record, known
 
@@ -41,6 +41,7 @@ def compare_entrants(
     """
     spec = TABLES[known("table", table, TABLES)]
     record = Record(run)
+    record.needed = rows_needed(spec)
     dataset = record.dataset(dataset)
     entrants = [record.entrant(name, dataset) for name in (first, second)]
     settings = record.settings

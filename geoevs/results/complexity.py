@@ -25,6 +25,9 @@ SPLIT, METRIC = "extrapolation", "sparse_psnr"
 CHARTED = (METRIC, "psnr")
 """What the chart shows over sizes; the second where dense truth exists."""
 
+ROWS_NEEDED = {"split": [SPLIT], "metric": CHARTED}
+"""What the score rows of the table and the chart have in these columns (see `read_scores`)."""
+
 CHOSEN, FIXED = DEFAULT, re.compile(r"\d+k")
 """The variant that chooses its size, and the names of those whose size is fixed, such as `8k`."""
 

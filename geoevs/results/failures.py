@@ -98,4 +98,4 @@ def stress_failures(scores: pd.DataFrame) -> Iterator[Failure]:
 
 def _failed(path: Path, name: str, more: list[str]) -> pd.DataFrame:
     """The failed rows of a file of rows, by what is said of them."""
-    return read_rows(path, name, [*_PLACE, *_ENDING, *more], where=("status", FAILED))
+    return read_rows(path, name, [*_PLACE, *_ENDING, *more], where={"status": [FAILED]})

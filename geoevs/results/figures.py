@@ -21,6 +21,8 @@ from geoevs.run import Answers
 TILE_WIDTH = 256
 MARGIN = 4
 HEADER = 22
+DROPPED = "renders: dropped when scored"
+"""The heading over what would be renders."""
 BACKGROUND = (255, 255, 255)
 INK = (20, 20, 20)
 UNSUPPORTED = (90, 30, 90)
@@ -55,7 +57,8 @@ def table_grid(
         table: one of TABLES.
         run: the run's folder.
         scenes: (dataset, scene) pairs to show.
-        labels: the entrants' labels, one column each.
+        labels: the entrants' labels, one column each; none where renders were dropped, which a
+            column then says.
         keeps: the shares of the reference, for the sparsity table's rows.
         count: show this many random targets, the same ones every time, in place of a few telling.
 
@@ -90,8 +93,9 @@ def table_grid(
             rows.append(Row(name, [*pictures, *renders]))
     columns = [*_evidence_names(spec), *labels]
     used = [k for k in range(len(columns)) if any(row.pictures[k] is not None for row in rows)]
-    rows = [Row(row.label, [row.pictures[k] for k in used]) for row in rows]
-    return encode_png(draw_grid([columns[k] for k in used], rows))
+    more = [] if labels else [DROPPED]
+    rows = [Row(row.label, [row.pictures[k] for k in used] + [None for _ in more]) for row in rows]
+    return encode_png(draw_grid([columns[k] for k in used] + more, rows))
 
 
 def truth_picture(answers: Answers, target: Target) -> np.ndarray | None:

@@ -16,7 +16,7 @@ import pandas as pd
 from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, whole_file, write_bytes, write_json
-from geoevs.core.hashes import file_hash
+from geoevs.core.hashes import hash_path
 from geoevs.core.machine import processor
 
 PACKAGES = (
@@ -46,14 +46,21 @@ NOT_SAID: dict[str, Any] = {
 
 
 def make_manifest(
-    config: Mapping[str, Any], inputs: Sequence[Path], configfiles: Sequence[str] = ()
+    config: Mapping[str, Any],
+    inputs: Sequence[Path],
+    configfiles: Sequence[str] = (),
+    hashed: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Commit, protocol, config, input hashes, versions and machine; no times, so that reruns agree.
 
     Args:
         config: the merged config of the run.
-        inputs: the scene stores and score files that it used.
+        inputs: files and folders that it used and whose hashes nobody has written down yet.
         configfiles: the files that the config was merged from, in order.
+        hashed: what `write_hash` wrote of others, such as scene stores.
+
+    Raises:
+        GeoEvsError: an input is missing, or a file of a hash is missing or none.
     """
     return {
         "commit": _commit(),
@@ -61,10 +68,29 @@ def make_manifest(
         "configfiles": list(configfiles),
         "config": config,
         "seed": config["seed"],
-        "inputs": {str(path): hash_path(path) for path in inputs},
+        "inputs": {
+            **{path: digest for file in hashed for path, digest in _read_hash(file).items()},
+            **{str(path): hash_path(path) for path in inputs},
+        },
         "versions": _versions(),
         "machine": _machine(),
     }
+
+
+def write_hash(path: Path, out: Path) -> None:
+    """Write down the hash of a file or folder by its path, so that it is read once.
+
+    Raises:
+        GeoEvsError: there is no such file or folder.
+    """
+    write_json(out, {str(path): hash_path(path)})
+
+
+def _read_hash(file: Path) -> dict[str, str]:
+    said = read_json(file)
+    if not isinstance(said, dict) or not all(isinstance(digest, str) for digest in said.values()):
+        raise GeoEvsError(f"{file} holds no hash of a folder; delete it and make it again")
+    return said
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
@@ -165,20 +191,6 @@ def _final_losses(path: Path) -> dict[str, float]:
         rows = pd.read_csv(path)
     last = rows.tail(max(1, len(rows) // 10)).drop(columns="step")
     return {name: round(float(value), 6) for name, value in last.mean().items()}
-
-
-def hash_path(path: Path) -> str:
-    """SHA-256 of a file, or of the list of a folder's files with their own.
-
-    Raises:
-        GeoEvsError: there is no such file or folder.
-    """
-    path = Path(path)
-    if path.is_dir():
-        files = sorted(file for file in path.rglob("*") if file.is_file())
-        listed = [[file.relative_to(path).as_posix(), hash_path(file)] for file in files]
-        return hashlib.sha256(json.dumps(listed).encode()).hexdigest()
-    return file_hash(path)
 
 
 def cached_repository(name: str) -> str:

@@ -21,6 +21,22 @@ from geoevs.results.views import with_lacking
 RANKED_TABLES = ("extrapolation", "interpolation")
 """Those in which the paper sets methods side by side that this suite runs (tables 2 and 5)."""
 
+RANKED = {
+    table: [
+        metric
+        for metric in table_spec(table).metrics
+        if any(metric in printed for printed in paper_values(table).values())
+    ]
+    for table in RANKED_TABLES
+}
+"""Metrics of each of them that are both printed and measured."""
+
+ROWS_NEEDED = {
+    "split": [split for table in RANKED for split in table_spec(table).splits],
+    "metric": list(dict.fromkeys(metric for metrics in RANKED.values() for metric in metrics)),
+}
+"""What the score rows that are ranked have in these columns (see `read_scores`)."""
+
 TITLE = "Does the paper's order of methods hold here?"
 LEGEND = """Kendall's tau between the paper's means and ours [bootstrap interval: frames redrawn
 within scenes, the same for all methods]; 1 = the same order, -1 = reversed, 0 = unrelated. With
@@ -55,9 +71,8 @@ def make_rank_agreement(scores: pd.DataFrame, settings: TableSettings) -> pd.Dat
             {"dataset": dataset, "table": table, "metric": metric}
             | _agreement(whole[whole["dataset"] == dataset], table, metric, settings)
             for dataset in scores["dataset"].unique()
-            for table in RANKED_TABLES
-            for metric in table_spec(table).metrics
-            if any(metric in printed for printed in paper_values(table).values())
+            for table, metrics in RANKED.items()
+            for metric in metrics
         ]
     )
 

@@ -108,6 +108,11 @@ def table_spec(name: str) -> TableSpec:
     return TABLES[name]
 
 
+def rows_needed(spec: TableSpec) -> dict[str, Sequence[str]]:
+    """What the score rows of a table have in their columns of text (see `read_scores`)."""
+    return {"split": spec.splits, "metric": spec.metrics}
+
+
 def bin_labels(edges: Sequence[float]) -> list[str]:
     """Names of the bins between edges, as the paper writes them.
 

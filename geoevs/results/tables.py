@@ -63,7 +63,7 @@ def make_table(
     unmeasured = "; ".join(f"{metric}: {why}" for metric, why in _unavailable(rows, spec, sets))
     bins = bin_names(spec, settings)
     outside = views_in_no_bin(spec, scores, settings)
-    ran = set(scores[ENTRANT].itertuples(index=False, name=None))
+    ran = set(scores[ENTRANT].drop_duplicates().itertuples(index=False, name=None))
     table = pd.DataFrame(
         [
             {"dataset": dataset, "group": _group(name, method, variant, entrants)}

@@ -114,14 +114,14 @@ def check_rows(record: Record, problems: list[str]) -> str:
     for name in ROW_FILES:
         if name not in needed and not (run / name).exists():
             continue
-        rows = record.read(name)
+        rows = record.scores if name == layout.SCORES else record.read(name)
         counts.append(f"{len(rows)} in {name}")
         if name == layout.SCORES:
             lost = int((rows["value"].isna() & (rows["status"] == OK)).sum())
             if lost:
                 problems.append(f"{run / name}: {lost} rows are ok and have no value")
         if name != layout.SCORES and "method" in rows:
-            known = set(record.scores["method"]) | {""}
+            known = set(record.scores["method"].unique()) | {""}
             problems += [
                 f"{run / name}: '{method}' has no rows in {layout.SCORES}"
                 for method in rows["method"].unique()

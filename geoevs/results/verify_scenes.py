@@ -12,6 +12,7 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_image, to_float
+from geoevs.core.hashes import hash_path
 from geoevs.core.names import inside
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, label_of, read_outcomes
 from geoevs.protocol.metrics import METRICS
@@ -20,13 +21,14 @@ from geoevs.protocol.provenance import check_answers, check_renders
 from geoevs.protocol.rows import protocol_fingerprint
 from geoevs.protocol.scoring import THINNING, score_regions
 from geoevs.protocol.targets import Target
-from geoevs.results.manifest import hash_path
 from geoevs.results.verify_files import png_size
 from geoevs.results.why_lookup import Record, chosen, terms_of
 from geoevs.run import Answers
 
 CLOSE = 1e-4
 """Relative difference up to which two machines' scores are the same."""
+
+DROPPED = "renders were dropped when they were scored, as the config says"
 
 SCENE = ["dataset", "scene"]
 ENTRANT = ["method", "variant", "seed"]
@@ -55,10 +57,11 @@ def check_scenes(record: Record, problems: list[str]) -> str:
         known = {(target.frame, target.camera.name) for target in targets}
         asked = {(target.frame, target.camera.name) for target in targets if not target.masked}
         for entrant, mine in rows.groupby(ENTRANT):
-            try:
-                check_renders(answers, label_of(*entrant))
-            except GeoEvsError as error:
-                problems.append(str(error))
+            if not record.dropped:
+                try:
+                    check_renders(answers, label_of(*entrant))
+                except GeoEvsError as error:
+                    problems.append(str(error))
             have = set(mine[VIEW].itertuples(index=False, name=None))
             for views, what in ((have - known, "no targets"), (asked - have, "targets without")):
                 if views:
@@ -89,6 +92,8 @@ def _absent(answers: Answers) -> Iterator[str]:
 
 def check_pictures(record: Record, problems: list[str]) -> str:
     """Every render that rows score is there, a PNG of its target's size, and as it was sealed."""
+    if record.dropped:
+        return DROPPED
     count = 0
     for place, rows in record.scores.groupby(SCENE):
         answers = Answers(record.run, *place)
@@ -135,6 +140,8 @@ def check_scores(record: Record, problems: list[str], count: int) -> str:
         problems: what is wrong is added to these.
         count: how many renders.
     """
+    if record.dropped:
+        return f"{DROPPED}, so no score can be made again"
     scores = record.scores[record.scores["status"].isin([OK, EMPTY_MASK])]
     views = scores[[*SCENE, *ENTRANT, *VIEW]].drop_duplicates()
     drawn = np.random.default_rng(0).permutation(len(views))[:count]

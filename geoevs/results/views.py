@@ -103,10 +103,14 @@ def paired_of(
     others = _at_seeds_of(rows, others)
     # Without stress there is no level, whose text is missing too: all targets would be one.
     levelled = (
-        some.assign(target=some["target"] + "@" + some["level"].astype(str).fillna("none"))
+        some.assign(target=some["target"].astype("string") + "@" + _level(some))
         for some in (rows, others)
     )
     return paired_difference(*levelled, *settings.bootstrap)
+
+
+def _level(rows: pd.DataFrame) -> pd.Series:
+    return rows["level"].astype(str).fillna("none")
 
 
 def _at_seeds_of(others: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:

@@ -24,7 +24,7 @@ from geoevs.results.why_lookup import (
     terms_of,
     value_line,
 )
-from geoevs.results.why_tables import OTHERS
+from geoevs.results.why_tables import OTHERS, needed_for
 
 SUITES = {"stability": layout.STABILITY_SCORES, "audit": layout.AUDIT_ROWS}
 """What is no table, with the rows that its numbers are made from."""
@@ -39,6 +39,7 @@ def explain(cell: Cell, run: Path) -> list[str]:
     record = Record(run)
     _refuse_suites(cell.table, run)
     known("table", cell.table, [*TABLES, *OTHERS])
+    record.needed = needed_for(cell.table, record.settings)
     answer = OTHERS.get(cell.table, _of_table)(cell, record)
     scores = record.scores.loc[record.scores["dataset"] == record.dataset(cell.dataset)]
     lines = list(answer.value)

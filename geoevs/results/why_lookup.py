@@ -2,7 +2,7 @@
 
 import operator
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from geoevs.methods.contract import DEFAULT
 from geoevs.protocol.entries import MethodEntry, label_of, name_of
 from geoevs.results.entrants import Entrants
 from geoevs.results.manifest import read_manifest
-from geoevs.results.rows import read_rows
+from geoevs.results.rows import read_rows, read_scores
 from geoevs.results.settings import TableSettings
 from geoevs.scenes.camera import view_key
 
@@ -115,18 +115,31 @@ class Found:
 
 
 class Record:
-    """A run's folder: its manifest and its rows, read when they are asked for."""
+    """A run's folder: its manifest and its rows, read when they are asked for.
+
+    Args:
+        run: the folder.
+    """
 
     def __init__(self, run: Path) -> None:
         self.run = run
+        self.needed: Mapping[str, Collection[str]] | None = None
+        """What score rows are read for (see `read_scores`); all of them by default."""
         self.manifest = read_manifest(run / layout.MANIFEST)
         self.config = self.manifest["config"]
         self.settings = TableSettings.parse(self.config["tables"])
 
+    @property
+    def dropped(self) -> bool:
+        """Whether the run's pictures were deleted when they were scored."""
+        return bool(self.config.get("renders") == "drop")
+
     @cached_property
     def scores(self) -> pd.DataFrame:
-        """The run's score rows, one a target and metric."""
-        return self.read(layout.SCORES)
+        """The run's score rows, one a target and metric, or those that are needed of them."""
+        if self.needed is None:
+            return self.read(layout.SCORES)
+        return read_scores(self.run / layout.SCORES, self.needed)
 
     @cached_property
     def costs(self) -> pd.DataFrame:
@@ -212,7 +225,8 @@ class Record:
     def pictures(self, dataset: str, label: str) -> Iterator[str]:
         """Where an entrant's pictures lie, and what scored them."""
         renders = self.path(layout.RENDERS, dataset, "<scene>", label)
-        yield f"pictures  {renders}/<view>/<frame>.png"
+        gone = ", dropped when they were scored" if self.dropped else ""
+        yield f"pictures  {renders}/<view>/<frame>.png{gone}"
         for pattern in (layout.REFERENCES, layout.TRUTH, layout.SCENE):
             yield f"          {self.path(pattern, dataset, '<scene>')}"
 

@@ -1,6 +1,6 @@
 """Where the numbers of tables come from that are no means of one entrant's score rows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 
 import pandas as pd
 
@@ -12,7 +12,8 @@ from geoevs.protocol.entries import FAILED, MethodEntry, name_of
 from geoevs.protocol.targets import ALL_CAMERAS
 from geoevs.results import ablation, complexity, costs, geometry_table, rank_agreement
 from geoevs.results.paper import paper_values
-from geoevs.results.table_specs import table_spec
+from geoevs.results.settings import TableSettings
+from geoevs.results.table_specs import TABLES, rows_needed, table_spec
 from geoevs.results.why_lookup import (
     Cell,
     Found,
@@ -185,8 +186,7 @@ def why_rank_agreement(cell: Cell, record: Record) -> Found:
     name = known("table of the paper", cell.entrant, rank_agreement.RANKED_TABLES)
     printed = paper_values(name)
     spec = table_spec(name)
-    both = [metric for metric in spec.metrics if any(metric in row for row in printed.values())]
-    metric = known("metric", cell.metric, both)
+    metric = known("metric", cell.metric, rank_agreement.RANKED[name])
     table = rank_agreement.make_rank_agreement(scores, record.settings)
     row = table[(table["table"] == name) & (table["metric"] == metric)].iloc[0]
     ranked_here = [method for method, cells in printed.items() if metric in cells]
@@ -217,6 +217,18 @@ OTHERS: dict[str, Callable[[Cell, Record], Found]] = {
     "costs": why_costs,
     "rank_agreement": why_rank_agreement,
 }
+
+
+def needed_for(table: str, settings: TableSettings) -> Mapping[str, Collection[str]]:
+    """What the score rows of a table, one of TABLES or OTHERS, have (see `read_scores`)."""
+    if table in TABLES:
+        return rows_needed(table_spec(table))
+    needed: dict[str, Mapping[str, Collection[str]]] = {
+        "ablation": ablation.rows_needed(settings),
+        "complexity": complexity.ROWS_NEEDED,
+        "rank_agreement": rank_agreement.ROWS_NEEDED,
+    }
+    return needed.get(table, {"metric": ()})
 
 
 def _of(rows: pd.DataFrame, dataset: str) -> pd.DataFrame:

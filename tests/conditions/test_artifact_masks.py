@@ -14,7 +14,7 @@ from geoevs.conditions.artifact_masks import (
 )
 from geoevs.conditions.bits import pack_masks
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import write_arrays
+from geoevs.core.mapped import write_mapped
 from geoevs.methods.tiny import MOUNT, STEP
 from geoevs.projection import project_points, unproject_depth
 
@@ -96,7 +96,7 @@ def test_draws_are_uniform_and_repeatable():
 
 
 def test_a_library_survives_a_round_trip(library, tmp_path):
-    write_arrays(tmp_path / "a.npz", mask_arrays(library))
+    write_mapped(tmp_path / "a.npz", mask_arrays(library))
     again = read_artifact_masks(tmp_path / "a.npz")
     assert again.origin == str(tmp_path / "a.npz")
     for field in dataclasses.fields(MaskLibrary):
@@ -106,9 +106,9 @@ def test_a_library_survives_a_round_trip(library, tmp_path):
 
 
 def test_the_same_library_is_the_same_bytes(stage, library, tmp_path):
-    write_arrays(tmp_path / "a.npz", mask_arrays(library))
+    write_mapped(tmp_path / "a.npz", mask_arrays(library))
     again = make_artifact_masks(stage.scene, stage.maps, POSES, lambda: None)
-    write_arrays(tmp_path / "b.npz", mask_arrays(again))
+    write_mapped(tmp_path / "b.npz", mask_arrays(again))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
@@ -124,13 +124,14 @@ def test_what_cannot_be_a_library_is_one_sentence(tmp_path):
     with pytest.raises(GeoEvsError, match=f"^the mask library {sentence}"):
         join_artifact_masks([])
     path = tmp_path / "none.npz"
-    empty = {name: np.zeros(0) for name in ("scene", "frame", "yaw", "lateral", "support")}
+    empty = {name: np.zeros(0) for name in ("yaw", "lateral", "support")}
+    empty |= {"scene": np.zeros(0, "U1"), "frame": np.zeros(0, int)}
     arrays = empty | {"size": np.array([2, 3]), "masks": np.zeros((0, 1), np.uint8)}
-    write_arrays(path, {f"masks/{name}": array for name, array in arrays.items()})
+    write_mapped(path, {f"masks/{name}": array for name, array in arrays.items()})
     with pytest.raises(GeoEvsError, match=f"^{path} {sentence}"):
         read_artifact_masks(path)
-    write_arrays(path, {"masks/size": np.array([2, 3])})
-    with pytest.raises(GeoEvsError, match=r"none.npz is not whole"):
+    write_mapped(path, {"masks/size": np.array([2, 3])})
+    with pytest.raises(GeoEvsError, match=r"none.npz has no array 'masks'"):
         read_artifact_masks(path)
     with pytest.raises(GeoEvsError, match=r"^the masks of b are 3 x 2 but those of a are 2 x 3; "):
         join_artifact_masks([counting(3, 2, 3, "a"), counting(3, 3, 2, "b")])

@@ -18,6 +18,25 @@ def test_files_are_joined_in_the_order_given(tmp_path):
     assert SEAL not in pq.read_schema(tmp_path / "all.parquet").metadata  # the first part's
 
 
+def test_groups_of_rows_are_full_whatever_the_files(tmp_path, monkeypatch):
+    monkeypatch.setattr("geoevs.core.parquet.GROUP_ROWS", 4)
+    parts = [tmp_path / f"{number}.parquet" for number in range(6)]
+    first = 0
+    for part, count in zip(parts, (1, 2, 0, 9, 1, 2), strict=True):
+        write_parquet(part, pd.DataFrame({"a": range(first, first + count)}))
+        first += count
+    join_parquet(tmp_path / "all.parquet", parts)
+    metadata = pq.ParquetFile(tmp_path / "all.parquet").metadata
+    groups = [metadata.row_group(number).num_rows for number in range(metadata.num_row_groups)]
+    assert groups == [4, 4, 4, 3]
+    assert pd.read_parquet(tmp_path / "all.parquet")["a"].tolist() == [*range(15)]
+
+
+def test_joining_nothing_says_so(tmp_path):
+    with pytest.raises(GeoEvsError, match=r"^there are no files to make .*all.parquet from; name"):
+        join_parquet(tmp_path / "all.parquet", [])
+
+
 ROWS = pd.DataFrame({"a": ["x", "", "ü"], "b": [1.0, math.nan, -0.0], "c": [1, 2, 2**62]})
 ROWS["d"] = ROWS["a"].astype("string")
 

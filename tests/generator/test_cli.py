@@ -12,7 +12,8 @@ from geoevs.cli import main as cli
 from geoevs.conditions.artifact_masks import mask_arrays
 from geoevs.conditions.pairs import pair_arrays
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, write_arrays, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.mapped import write_mapped
 from geoevs.core.networks import read_network
 from geoevs.core.randomness import Rng
 from geoevs.diffusion import pretraining
@@ -65,8 +66,8 @@ def geoevs(monkeypatch, capsys):
 
 @pytest.fixture
 def train(geoevs, pairs, library, weights, tmp_path):
-    write_arrays(tmp_path / "pairs.npz", pair_arrays(pairs))
-    write_arrays(tmp_path / "library.npz", mask_arrays(library))
+    write_mapped(tmp_path / "pairs.npz", pair_arrays(pairs))
+    write_mapped(tmp_path / "library.npz", mask_arrays(library))
 
     def run(*arguments, **changed):
         settings = json.dumps(SETTINGS | changed)

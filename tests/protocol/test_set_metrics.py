@@ -101,6 +101,18 @@ def test_the_estimate_is_the_u_statistic_by_hand(distance):
     assert distance(x, x, np.arange(5), 0.9).value == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("distance", [kernel_distance, energy_distance])
+def test_blocks_of_views_give_what_all_at_once_do(distance, monkeypatch):
+    x, y = np.random.default_rng(0).standard_normal((2, 50, 3))
+    frames = np.arange(50) // 4
+    at_once = distance(x, y, frames, 0.9)
+    monkeypatch.setattr("geoevs.protocol.set_metrics.MOST_PAIRS", 7 * 50)
+    in_blocks = distance(x, y, frames, 0.9)
+    for end in ("value", "low", "high"):
+        assert getattr(in_blocks, end) == pytest.approx(getattr(at_once, end), rel=1e-9)
+    assert distance(x, x, frames, 0.9).value == pytest.approx(0.0, abs=1e-12)
+
+
 def test_the_estimate_is_unbiased_and_its_interval_covers():
     rng = np.random.default_rng(0)
     frames = np.arange(24) // 2

@@ -1,4 +1,5 @@
 import math
+import sys
 
 import numpy as np
 import pandas as pd
@@ -6,7 +7,8 @@ import pytest
 
 from geoevs.core.files import to_uint8, write_image
 from geoevs.protocol.entries import MethodEntry
-from geoevs.protocol.set_scoring import SET_TYPES, score_sets, set_frame
+from geoevs.protocol.set_metrics import SET_METRICS, standardise, texture_features
+from geoevs.protocol.set_scoring import SET_TYPES, DescribedViews, score_sets, set_frame
 
 OK = {"status": "ok", "stage": "", "reason": "", "log": "", "threads": 1}
 OK |= {"peak_memory": 0, "gpu_memory": 0}
@@ -67,3 +69,30 @@ def test_a_failed_method_is_rows_that_say_so(scored):
     assert row["failed"] > 0
     assert math.isnan(row["value"])
     assert rows.loc[("interpolation", "texture_energy"), "status"] == "ok"
+
+
+def test_the_distance_is_that_of_all_images_at_once(stage, scored):
+    answers = stage.answers
+    views = [target for target in stage.targets if target.split == "observed"]
+    true = np.array([texture_features(answers.truth(target)) for target in views])
+    grey = np.full((*answers.truth(views[0]).shape[:2], 3), np.float32(128) / np.float32(255))
+    flat = np.repeat(texture_features(grey)[None], len(views), axis=0)
+    frames = np.array([f"s/{target.frame:06d}" for target in views])
+    pair = standardise(flat, true), standardise(true, true)
+    expected = SET_METRICS["texture_energy"].distance(*pair, frames, 0.95)
+    row = scored("grey.flat").loc[("observed", "texture_energy")]
+    assert (row["value"], row["low"], row["high"]) == pytest.approx(
+        (expected.value, expected.low, expected.high), nan_ok=True, abs=0
+    )
+
+
+def test_no_image_is_kept():
+    images = [np.full((16, 16, 3), value, np.float32) for value in (0.25, 0.75)]
+    views = DescribedViews([texture_features])
+    views.add("s/000000", *images)
+    references = [sys.getrefcount(image) for image in images]
+    views.add("s/000001", *images)
+    assert [sys.getrefcount(image) for image in images] == references
+    kept = np.array(views.features[texture_features])
+    assert kept.shape == (2, 2, len(texture_features(images[0])))
+    assert views.frames == ["s/000000", "s/000001"]

@@ -4,11 +4,13 @@ import pytest
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, write_json
 from geoevs.methods.tiny import write_tiny_scene
+from geoevs.protocol.provenance import target_settings
 from geoevs.protocol.targets import (
     FRONT_SIDE,
     make_targets,
     read_targets,
     source_cameras,
+    without_usual,
     write_targets,
 )
 from geoevs.scenes.camera import angle_between
@@ -40,6 +42,40 @@ def test_every_split_of_a_scene(scene):
         if target.split == "extrapolation":
             assert target.pose_offset == pytest.approx(22.5)
             assert abs(target.lateral_shift) == 1.0
+
+
+def described(target):
+    mask = target.mask_camera.name if target.masked else ""
+    return target.key, target.split, target.camera.world_from_camera.tolist(), mask
+
+
+@pytest.mark.parametrize("split", ["observed", "extrapolation"])
+def test_a_split_may_leave_out_frames(scene, split):
+    whole = make_targets(scene, PROTOCOL, seed=0)
+    thinned = make_targets(scene, {**PROTOCOL, "every": {split: 2}}, seed=0)
+    # Frame 1 has none of the split; what is left is what it was, masks included.
+    left = [target for target in whole if (target.split, target.frame) != (split, 1)]
+    assert list(map(described, thinned)) == list(map(described, left))
+    assert {target.frame for target in thinned if target.split == split} == {0}
+
+
+def test_masked_targets_are_of_targets_that_there_are(scene):
+    masked = {**PROTOCOL["masked"], "every": 1}
+    protocol = {**PROTOCOL, "masked": masked, "every": {"observed": 1, "extrapolation": 2}}
+    targets = make_targets(scene, protocol, seed=0)
+    keys = {target.key for target in targets}
+    assert all(target.unmasked.key in keys for target in targets)
+    assert {t.frame for t in targets if t.split == "masked-extrapolation"} == {0}
+    assert {t.frame for t in targets if t.split == "masked-observed"} == {0, 1}
+
+
+def test_leaving_out_no_frame_is_the_same_protocol():
+    once = {"observed": 1, "extrapolation": 1}
+    assert without_usual({**PROTOCOL, "every": once}) == without_usual(PROTOCOL) == PROTOCOL
+    assert without_usual({**PROTOCOL, "every": {"observed": 2}})["every"] == {"observed": 2}
+    assert target_settings({**PROTOCOL, "every": once}, 0) == target_settings(PROTOCOL, 0)
+    thinned = target_settings({**PROTOCOL, "every": {"observed": 2}}, 0)
+    assert thinned != target_settings(PROTOCOL, 0)
 
 
 @pytest.mark.parametrize(

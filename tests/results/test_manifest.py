@@ -6,13 +6,14 @@ import pytest
 
 from geoevs import PROTOCOL
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.hashes import hash_path
 from geoevs.results import manifest
 from geoevs.results.manifest import (
     add_provenance,
     cached_repository,
-    hash_path,
     install_weights,
     make_manifest,
+    write_hash,
 )
 
 CONFIG = {"seed": 3, "run": "a"}
@@ -39,6 +40,22 @@ def test_it_says_what_the_run_was_made_of(folder):
     assert made["machine"]["cores"] >= 1
     assert made["machine"]["memory_bytes"] > 1e8
     assert made["commit"]
+
+
+def test_hashes_that_were_written_down_are_not_taken_again(folder, monkeypatch):
+    whole = make_manifest(CONFIG, [folder, folder / "a"])["inputs"]
+    write_hash(folder, folder.parent / "hash.json")
+    monkeypatch.setattr(manifest, "hash_path", lambda path: f"hash of {path.name}")
+    made = make_manifest(CONFIG, [folder / "a"], hashed=[folder.parent / "hash.json"])["inputs"]
+    assert made == {str(folder): whole[str(folder)], str(folder / "a"): "hash of a"}
+    assert list(made) == list(whole)
+
+
+@pytest.mark.parametrize("text", ["[]", '{"scene": 1}'])
+def test_what_is_no_hash_is_one_sentence(tmp_path, text):
+    (tmp_path / "hash.json").write_text(text)
+    with pytest.raises(GeoEvsError, match=r"hash.json holds no hash of a folder; delete it and ma"):
+        make_manifest(CONFIG, [], hashed=[tmp_path / "hash.json"])
 
 
 def test_a_cached_repository_is_known_by_its_files(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import pytest
 
 from geoevs import PROTOCOL, layout
 from geoevs.core.files import read_json, write_image, write_json, write_text
+from geoevs.core.hashes import hash_path
 from geoevs.core.parquet import write_parquet
 from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import ORACLES
@@ -26,7 +27,6 @@ from geoevs.protocol.targets import write_targets
 from geoevs.results.costs import write_cost_table
 from geoevs.results.entrants import Entrants
 from geoevs.results.formats import write_table
-from geoevs.results.manifest import hash_path
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES
 from geoevs.results.verify import SHOWN, Check, verification_text, verify_run

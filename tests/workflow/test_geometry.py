@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from geoevs.core.files import read_json
+from geoevs.core.hashes import hash_path
 from geoevs.diffusion.prior import load_prior
 from geoevs.geometry.refinement import NANO_CHANNELS
 from geoevs.geometry.vggt import VGGT_NANO, load_vggt
-from geoevs.results.manifest import hash_path
 
 
 def rules(plan) -> list[str]:

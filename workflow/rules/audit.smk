@@ -58,7 +58,7 @@ rule audit_rows:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 rule audit_page:

@@ -1,6 +1,11 @@
 # Fits and renders of every entrant. Both are timed, so each takes all cores and runs alone. What a
 # method does wrong is in what they write; so is a fault of the machine, which has a second attempt.
 
+# Whether pictures are deleted when nobody in this call needs them any more.
+DROPPED = config.get("renders", "keep") == "drop"
+RENDERED = directory(in_run(layout.RENDERS))
+RENDERED = temp(RENDERED) if DROPPED else RENDERED
+
 
 rule fit:
     input:
@@ -42,7 +47,7 @@ rule render:
         targets=in_run(layout.TARGETS),
         masks=in_run(layout.MASKS),
     output:
-        directory(in_run(layout.RENDERS)),
+        RENDERED,
     log:
         in_run(layout.RENDER_LOG),
         method=in_run("logs/render/{dataset}/{scene}/{label}.method.log"),

@@ -14,7 +14,7 @@ from geoevs.config.partitions import partition_scenes
 from geoevs.config.places import merge_order
 from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.hashes import outside_hash
+from geoevs.core.hashes import hash_path, outside_hash
 from geoevs.core.locks import lock_folder
 from geoevs.core.names import expanded
 from geoevs.core.settings import make_settings
@@ -38,7 +38,7 @@ from geoevs.protocol.stability import (
     world_options,
 )
 from geoevs.protocol.stressors import STRESSORS
-from geoevs.results.manifest import cached_repository, hash_path
+from geoevs.results.manifest import cached_repository
 from geoevs.results.table_specs import TABLES
 from geoevs.scenes.scene import SceneRef, find_sources, load_source
 from snakemake.exceptions import WorkflowError
@@ -86,6 +86,11 @@ shell.prefix(
 # Thousands of jobs share a few hashes.
 code_hash = cache(code_hash)
 adapter_module = cache(lambda method: find_methods()[method])
+
+# The shell's own printf takes any number of files; no other program does.
+COLLECT = (
+    "printf '%s\\n' {input:q} | geoevs --log {log:q} collect --list - --out {output:q}"
+)
 
 RUN = f"results/{config['run']}"
 HEIGHT, WIDTH = config["resolution"]

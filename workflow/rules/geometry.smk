@@ -100,4 +100,4 @@ rule depth_scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT

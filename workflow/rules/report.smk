@@ -5,7 +5,7 @@ rule report:
     input:
         rules.tables.input,
         rules.charts.input,
-        every_result(layout.RENDERS),
+        SHOWN_RENDERS,
         every_scene(layout.REFERENCES),
         every_scene(layout.MASKS),
         every_scene(layout.TRUTH),

@@ -1,6 +1,12 @@
 # One score row for every target and metric, one cost row for every fit (paper section 3.5).
 
 
+# Snakemake forgets what made pictures when it drops them: then their scores remember it.
+def renders_code(wildcards):
+    """Hash of what renders pictures, where they are dropped."""
+    return method_code("render")(wildcards) if DROPPED else "kept"
+
+
 rule score:
     input:
         scene=in_run(layout.SCENE),
@@ -26,6 +32,7 @@ rule score:
         run=lambda wildcards, output: Path(output.scores).parents[3],
         protocol=PROTOCOL,
         seed=config["seed"],
+        renders=renders_code,
         code=code_hash("geoevs.protocol.scoring", "geoevs.protocol.rows"),
     shell:
         "geoevs --log {log:q} score {params.entry} --run {params.run:q} --dataset {wildcards.dataset:q}"
@@ -44,7 +51,7 @@ rule scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 rule costs:
@@ -57,7 +64,7 @@ rule costs:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 # Distances between all of an entrant's views of a data set and the truth.
@@ -83,6 +90,7 @@ rule score_sets:
             "--scenes", [Path(path).name for path in input.scenes]
         ),
         confidence=config["tables"]["confidence"],
+        renders=renders_code,
         code=code_hash("geoevs.protocol.set_scoring"),
     shell:
         "geoevs --log {log:q} score-sets {params.entry} --run {params.run:q}"
@@ -106,22 +114,37 @@ rule set_scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
+
+
+# Stores are large: each is read once, and not again when another one changes.
+rule scene_hash:
+    input:
+        in_run(layout.SCENE),
+    output:
+        in_run(layout.SCENE_HASH),
+    log:
+        in_run("logs/scene_hash/{dataset}/{scene}.log"),
+    params:
+        code=code_hash("geoevs.core.hashes"),
+    shell:
+        "geoevs --log {log:q} hash {input:q} --out {output:q}"
 
 
 rule manifest:
     input:
-        every_scene(layout.SCENE),
-        in_run(layout.SCORES),
+        scores=in_run(layout.SCORES),
+        hashed=every_scene(layout.SCENE_HASH),
     output:
         in_run(layout.MANIFEST),
     log:
         in_run("logs/manifest.log"),
     params:
         weights=starting_weights,
+        hashed=lambda wildcards, input: with_option("--hashed", input.hashed),
         config=json.dumps(config),
         configfiles=with_option("--configfiles", config_files()),
         code=code_hash("geoevs.results.manifest"),
     shell:
-        "geoevs --log {log:q} manifest {input:q} {params.weights:q}"
+        "geoevs --log {log:q} manifest {input.scores:q} {params.weights:q} {params.hashed}"
         " --config {params.config:q} {params.configfiles} --out {output:q}"

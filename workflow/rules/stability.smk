@@ -131,7 +131,7 @@ rule stability_scores:
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:
-        "geoevs --log {log:q} collect {input:q} --out {output:q}"
+        COLLECT
 
 
 rule stability_tables:

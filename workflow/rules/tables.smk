@@ -12,6 +12,8 @@ COMPLEXITY_FILES = [
     in_run(layout.COMPLEXITY_TABLE) + suffix for suffix in (".csv", ".md")
 ]
 RANK_FILES = [in_run(layout.RANK_TABLE) + suffix for suffix in (".csv", ".md")]
+# What figures and the report show: those that are dropped do not wait for them.
+SHOWN_RENDERS = [] if DROPPED else every_result(layout.RENDERS)
 BREAKDOWNS = ("pose_offset", "sparsity")
 
 
@@ -131,7 +133,7 @@ rule rank_agreement:
 
 rule figure:
     input:
-        every_result(layout.RENDERS),
+        SHOWN_RENDERS,
         every_scene(layout.REFERENCES),
         every_scene(layout.MASKS),
         every_scene(layout.TRUTH),
@@ -145,7 +147,7 @@ rule figure:
         labels=" ".join(
             f"--labels {label}"
             for label, entry in ENTRIES.items()
-            if entry.method not in ORACLES
+            if entry.method not in ORACLES and not DROPPED
         ),
         keeps=json.dumps(config["protocol"]["reference_keep"]),
         code=code_hash("geoevs.results.figures"),

@@ -19,7 +19,8 @@ rule targets:
         protocol=json.dumps(
             {
                 key: config["protocol"][key]
-                for key in ("lateral", "pose_sweep", "masked")
+                for key in ("lateral", "every", "pose_sweep", "masked")
+                if key in config["protocol"]
             }
         ),
         seed=config["seed"],

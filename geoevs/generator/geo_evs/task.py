@@ -1,5 +1,6 @@
 """Training Geo-EVS: denoise targets from artifact-injected conditions (sections 3.3, 3.4)."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from geoevs.conditions.artifact_masks import MaskLibrary
 from geoevs.conditions.injection import ArtifactInjection
 from geoevs.conditions.pairs import Pairs
+from geoevs.core.mapped import Stack, pieces
 from geoevs.core.networks import best_device, mixed_precision, seeded
 from geoevs.core.optimising import Optimisation, fingerprint, optimise
 from geoevs.core.randomness import Rng
@@ -99,9 +101,9 @@ class GeoEvsTask:
         self._latents = encode_images(self._autoencoder, pairs.target)
         self.model = _conditional(prior, settings, seed)
         # Those without a mask, most of all that are seen, are the same at every step too.
-        shown = pairs.rgb * pairs.valid[..., None]
-        self._unmasked = self._condition_latents(shown, pairs.valid)
-        self._mean_support = float(pairs.valid.mean())
+        self._unmasked = self._condition_latents(pairs.rgb, pairs.valid)
+        held = sum(np.count_nonzero(piece) for piece in pieces(pairs.valid))
+        self._mean_support = held / math.prod(pairs.valid.shape)
         masks = [] if injection.library is None else [injection.library.packed]
         self.identity = fingerprint(
             asdict(settings), asdict(prior.diffusion), pairs.rgb, pairs.valid, self._latents, *masks
@@ -156,14 +158,15 @@ class GeoEvsTask:
 
     def _condition_latents(
         self,
-        rgb: np.ndarray,  # [N, H, W, 3] uint8
-        valid: np.ndarray,  # [N, H, W] bool
+        rgb: np.ndarray | Stack,  # [N, H, W, 3] uint8
+        valid: np.ndarray | Stack,  # [N, H, W] bool
     ) -> Tensor:
         """[N, L, h, w] the encoder's latents of condition maps."""
 
         def encode(part: slice) -> Tensor:
-            condition = to_tensor(rgb[part]).to(self._latents.device)
-            mask = torch.from_numpy(valid[part])[:, None].to(condition.device)
+            held = valid[part]
+            condition = to_tensor(rgb[part] * held[..., None]).to(self._latents.device)
+            mask = torch.from_numpy(held)[:, None].to(condition.device)
             return self.model.encoder.latent(condition, mask)
 
         return encode_in_parts(encode, len(rgb), self._latents.device)

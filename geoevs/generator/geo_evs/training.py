@@ -13,7 +13,8 @@ from geoevs.conditions.artifact_masks import (
 )
 from geoevs.conditions.injection import INJECTIONS
 from geoevs.conditions.pairs import make_pairs, pair_arrays, read_pairs
-from geoevs.core.files import write_arrays, write_json
+from geoevs.core.files import write_json
+from geoevs.core.mapped import write_mapped
 from geoevs.core.progress import progress_bar, training_bar
 from geoevs.core.settings import Count, OneOf, Positive, Share, check_fields
 from geoevs.diffusion.sampling import PREDICTIONS, SCHEDULES, Sampling
@@ -80,12 +81,12 @@ class Training:
             pairs = make_pairs(scene, maps, advance)
         with progress_bar(f"masks {scene.info.name}", frames) as advance:
             masks = make_artifact_masks(scene, maps, inputs.mask_poses, advance)
-        write_arrays(out, pair_arrays(pairs) | mask_arrays(masks))
+        write_mapped(out, pair_arrays(pairs) | mask_arrays(masks))
 
     def combine(self, files: Sequence[Path], out: Path) -> None:
         """Put the masks of all scenes into one artifact-mask library."""
         library = join_artifact_masks([read_artifact_masks(path) for path in files])
-        write_arrays(out, mask_arrays(library))
+        write_mapped(out, mask_arrays(library))
 
     def train(
         self,

@@ -28,7 +28,7 @@ from geoevs.results.report.markdown import markdown_html
 from geoevs.results.report.pictures import comparison, file_address
 from geoevs.results.report.sentences import summarise_gaps, summarise_run
 from geoevs.results.report.suites import summarise_suites
-from geoevs.results.rows import read_rows
+from geoevs.results.rows import TABLE_COLUMNS, read_rows
 from geoevs.results.run_folder import log_tail, refuse_links_out
 from geoevs.results.settings import TableSettings
 from geoevs.results.table_specs import TABLES
@@ -75,10 +75,7 @@ def make_page(run: Path, threads: int = 1) -> str:
     """
     refuse_links_out(run)
     manifest = read_manifest(run / layout.MANIFEST)
-    columns = ["dataset", "scene", "frame", "target", "split", "method", "variant", "seed"]
-    columns += ["metric", "value", "support_ratio", "pose_offset", "stressor", "level"]
-    columns += ["status", "reason", "fingerprint"]
-    scores = read_rows(run / layout.SCORES, layout.SCORES, columns)
+    scores = read_rows(run / layout.SCORES, layout.SCORES, TABLE_COLUMNS)
     costs, sets = (read_rows(run / name, name) for name in (layout.COSTS, layout.SET_SCORES))
     exhibits = {folder: list(_exhibits(run / folder)) for folder in _result_folders(run)}
     tables = [exhibit for exhibit in exhibits.pop("tables", []) if exhibit.rows is not None]
