@@ -23,7 +23,7 @@ from benchmarks.inpainting import SCENES, psnr
 from benchmarks.projection import processor
 from geoevs.config.checks import method_entries
 from geoevs.core.errors import did_you_mean
-from geoevs.core.files import to_float
+from geoevs.core.images import to_float
 from geoevs.core.randomness import Rng
 from geoevs.geometry.depth_metrics import depth_metrics
 from geoevs.geometry.moving import moving_pixels

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from baselines.controls.reproject.adapter import Method as Reprojection
 from baselines.controls.reproject_inpaint.adapter import INPAINTINGS, fill_holes
-from geoevs.core.files import to_float
+from geoevs.core.images import to_float
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, Rendering, Views
 from geoevs.protocol.targets import make_targets

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from baselines.controls.reproject_inpaint.adapter import fill_holes
 from benchmarks.inpainting import HEIGHT, PROTOCOL, SCENES, WIDTH, psnr
-from geoevs.core.files import to_float
+from geoevs.core.images import to_float
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.lift import lift_frame
 from geoevs.geometry.lifted import LiftedViews

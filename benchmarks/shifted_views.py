@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from geoevs import layout
-from geoevs.core.files import read_json, to_uint8, write_image
+from geoevs.core.files import read_json
+from geoevs.core.images import to_uint8, write_image
 from geoevs.methods.contract import Adapter
 from geoevs.methods.finding import method_class
 from geoevs.protocol.targets import ALL_CAMERAS

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.shifted_views import DATASET, fitted
-from geoevs.core.files import read_image, to_uint8, write_image
+from geoevs.core.images import read_image, to_uint8, write_image
 from geoevs.protocol.targets import Target
 from geoevs.results.figures import Row, draw_grid
 from geoevs.run import Answers

@@ -7,7 +7,8 @@ import numpy as np
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_arrays, read_image, to_float
+from geoevs.core.files import read_arrays
+from geoevs.core.images import read_image, to_float
 from geoevs.protocol.condition_masks import ConditionMask, ConditionMasks
 from geoevs.protocol.reference import References, SparseReference
 from geoevs.protocol.regions import Answer, masked_regions, regions

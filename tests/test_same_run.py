@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.same_run import differences, digest_of
-from geoevs.core.files import write_image
+from geoevs.core.images import write_image
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from baselines.emernerf.model import Rays
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.geometry.sky import find_sky
 from geoevs.methods.contract import Views
 from geoevs.projection import visible

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image, read_json, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.images import read_image
 from geoevs.core.names import check_name, expanded
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views

@@ -10,7 +10,7 @@ from baselines.freevs.pseudo_images import Sweeps
 from geoevs.conditions.bits import pack_masks
 from geoevs.conditions.parts import join_parts, read_part
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.core.mapped import Stack, write_mapped
 from geoevs.methods.contract import Views
 from geoevs.scenes.store import Scene

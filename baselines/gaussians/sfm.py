@@ -17,7 +17,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.methods.contract import Views
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera, angle_between

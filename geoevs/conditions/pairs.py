@@ -9,7 +9,7 @@ import numpy as np
 from geoevs.conditions.bits import pack_masks
 from geoevs.conditions.parts import join_parts, read_part
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.core.mapped import Stack
 from geoevs.geometry.lift import lift_view
 from geoevs.geometry.point_maps import PointMaps

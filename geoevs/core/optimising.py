@@ -21,7 +21,8 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import whole_file, write_bytes, write_image, write_text
+from geoevs.core.files import whole_file, write_bytes, write_text
+from geoevs.core.images import write_image
 from geoevs.core.mapped import Stack, pieces
 from geoevs.core.randomness import Rng
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.core.networks import best_device, mixed_precision, seeded
 from geoevs.core.optimising import Optimisation, fingerprint, finish, optimise
 from geoevs.core.progress import training_bar

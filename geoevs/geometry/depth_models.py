@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.geometry.lift import lidar_depths
 from geoevs.geometry.network_input import Window, public_input
 from geoevs.geometry.scale import fit_scale, frame_factor

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8, write_json
+from geoevs.core.files import write_json
+from geoevs.core.images import to_uint8
 from geoevs.core.networks import best_device, mixed_precision
 from geoevs.core.optimising import (
     Optimisation,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from geoevs.core.files import to_float, to_uint8
+from geoevs.core.images import to_float, to_uint8
 from geoevs.scenes.camera import Camera
 
 Window = tuple[slice, slice]

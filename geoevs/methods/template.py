@@ -138,7 +138,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from geoevs.core.files import read_arrays, to_uint8, write_arrays, write_json
+from geoevs.core.files import read_arrays, write_arrays, write_json
+from geoevs.core.images import to_uint8
 from geoevs.core.progress import training_bar
 from geoevs.core.settings import Count, Positive
 from geoevs.methods.training import Inputs

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image, to_float
 from geoevs.core.hashes import file_hash
+from geoevs.core.images import read_image, to_float
 from geoevs.protocol.entries import FAILED, failed
 from geoevs.protocol.targets import Target
 

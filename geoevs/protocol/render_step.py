@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8, write_image
+from geoevs.core.images import to_uint8, write_image
 from geoevs.core.isolate import begin_part
 from geoevs.methods.contract import MaskedAdapter, Rendering
 from geoevs.methods.finding import method_class

@@ -54,7 +54,7 @@ def inception_features(image: np.ndarray) -> np.ndarray:
     """(2048,) pool features of torch-fidelity's Inception of an (H, W, 3) image in [0, 1]."""
     import torch
 
-    from geoevs.core.files import to_uint8
+    from geoevs.core.images import to_uint8
 
     pixels = torch.from_numpy(to_uint8(image)).permute(2, 0, 1)[None]
     with torch.inference_mode():

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from geoevs.core.files import new_folder, write_arrays, write_image, write_json
+from geoevs.core.files import new_folder, write_arrays, write_json
+from geoevs.core.images import write_image
 from geoevs.protocol.targets import Target, virtual_targets
 from geoevs.scenes.scene import SceneRef, SceneSource
 

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from geoevs import layout
-from geoevs.core.files import encode_png, read_image, to_uint8
+from geoevs.core.images import encode_png, read_image, to_uint8
 from geoevs.protocol.condition_masks import ConditionMask
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import MASKED, RECORDED_SPLITS, Target

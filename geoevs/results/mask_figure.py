@@ -11,7 +11,7 @@ import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
 from geoevs.conditions.artifact_masks import MaskLibrary
-from geoevs.core.files import encode_png
+from geoevs.core.images import encode_png
 from geoevs.results.figures import BACKGROUND, HEADER, INK, MARGIN, UNSUPPORTED
 from geoevs.run import Answers
 

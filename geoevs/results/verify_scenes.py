@@ -11,8 +11,8 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image, to_float
 from geoevs.core.hashes import hash_path
+from geoevs.core.images import read_image, to_float
 from geoevs.core.names import inside
 from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, label_of, read_outcomes
 from geoevs.protocol.metrics import METRICS

@@ -14,14 +14,8 @@ import numpy as np
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.files import (
-    read_image,
-    read_json,
-    whole_file,
-    write_bytes,
-    write_image,
-    write_json,
-)
+from geoevs.core.files import read_json, whole_file, write_bytes, write_json
+from geoevs.core.images import read_image, write_image
 from geoevs.core.names import check_name
 from geoevs.core.text import clean
 from geoevs.scenes.checks import Where, check_tracks, frame_number, number

@@ -23,16 +23,14 @@ from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import (
     new_folder,
     read_arrays,
-    read_image,
     read_json,
-    to_float,
     whole_file,
     write_arrays,
     write_bytes,
-    write_image,
     write_json,
 )
 from geoevs.core.hashes import file_hash, text_hash
+from geoevs.core.images import read_image, to_float, write_image
 from geoevs.core.names import inside
 from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, view_key

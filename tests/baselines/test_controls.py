@@ -9,7 +9,8 @@ import pytest
 from baselines.controls.nearest_view.adapter import infinite_homography
 from baselines.controls.reproject_inpaint.adapter import fill_holes
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, to_float, to_uint8, write_image, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.images import to_float, to_uint8, write_image
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, ReadsFiles, Views
 from geoevs.methods.finding import make_method

@@ -3,7 +3,8 @@ import pytest
 
 from geoevs.conditions.pairs import condition_map, make_pairs, pair_arrays, read_pairs
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import to_uint8, write_arrays
+from geoevs.core.files import write_arrays
+from geoevs.core.images import to_uint8
 from geoevs.core.mapped import write_mapped
 from geoevs.methods.tiny import MOUNT, tiny_camera, tiny_truth
 

@@ -15,21 +15,17 @@ from PIL import Image
 from geoevs.core import files
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import (
-    encode_png,
     link_file,
     new_folder,
     read_arrays,
-    read_image,
     read_json,
-    to_float,
-    to_uint8,
     whole_file,
     write_arrays,
     write_bytes,
-    write_image,
     write_json,
     write_text,
 )
+from geoevs.core.images import encode_png, read_image, to_float, to_uint8, write_image
 
 FAILURES = {"disk full": errno.ENOSPC, "read-only": errno.EROFS, "no permission": errno.EACCES}
 

@@ -16,7 +16,6 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import (
     new_folder,
     read_arrays,
-    read_image,
     read_json,
     whole_file,
     write_arrays,
@@ -24,6 +23,7 @@ from geoevs.core.files import (
     write_files,
     write_json,
 )
+from geoevs.core.images import read_image
 
 READERS = {"json": read_json, "image": read_image, "arrays": read_arrays}
 COLOUR = np.random.default_rng(0).integers(0, 256, (6, 5, 3), np.uint8)

@@ -11,7 +11,8 @@ import torch
 
 from geoevs.cli import main as cli
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, to_uint8, write_arrays
+from geoevs.core.files import read_json, write_arrays
+from geoevs.core.images import to_uint8
 from geoevs.core.networks import read_network
 from geoevs.geometry import finetuning
 from geoevs.geometry.finetuning import FAR, read_depth_frames

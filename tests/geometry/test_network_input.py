@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geoevs.core.files import to_float
+from geoevs.core.images import to_float
 from geoevs.geometry.network_input import public_input, public_size, recorded_ratio
 from geoevs.geometry.vggt import VGGT_1B, VGGT_NANO, resize_image
 from geoevs.scenes.camera import Camera

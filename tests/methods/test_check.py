@@ -9,7 +9,7 @@ import baselines
 from geoevs.cli import adapters
 from geoevs.cli.arguments import parse_json
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import write_image
+from geoevs.core.images import write_image
 from geoevs.methods.check import CHECKS, check_adapter, contract_failures
 from geoevs.methods.finding import find_methods
 from geoevs.methods.template import new_adapter

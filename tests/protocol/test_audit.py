@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import write_arrays, write_image
+from geoevs.core.files import write_arrays
+from geoevs.core.images import write_image
 from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
 from geoevs.protocol.entries import MethodEntry

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, to_uint8, write_image
+from geoevs.core.files import read_arrays
+from geoevs.core.images import read_image, to_uint8, write_image
 from geoevs.core.randomness import Rng
 from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import Budget, Views

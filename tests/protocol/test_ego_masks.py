@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import to_uint8, write_image
+from geoevs.core.images import to_uint8, write_image
 from geoevs.geometry.depth_models import LidarDepth, NetworkDepth
 from geoevs.geometry.lifted import LiftedViews
 from geoevs.methods.contract import Views

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image, write_json
+from geoevs.core.files import write_json
+from geoevs.core.images import read_image
 from geoevs.core.machine import machine
 from geoevs.methods.contract import Budget
 from geoevs.protocol.entries import MethodEntry, read_outcomes

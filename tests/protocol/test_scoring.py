@@ -6,7 +6,8 @@ import pytest
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import write_image, write_json
+from geoevs.core.files import write_json
+from geoevs.core.images import write_image
 from geoevs.protocol.entries import REFERENCE, MethodEntry
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.oracle import oracle_picture, oracle_step

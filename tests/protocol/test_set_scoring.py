@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from geoevs.core.files import to_uint8, write_image
+from geoevs.core.images import to_uint8, write_image
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.set_metrics import SET_METRICS, standardise, texture_features
 from geoevs.protocol.set_scoring import SET_TYPES, DescribedViews, score_sets, set_frame

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_json, write_image, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.images import write_image
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection
 from geoevs.protocol.entries import MethodEntry

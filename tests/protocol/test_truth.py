@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import read_arrays, read_image, read_json, to_uint8
+from geoevs.core.files import read_arrays, read_json
+from geoevs.core.images import read_image, to_uint8
 from geoevs.methods.tiny import tiny_truth
 from geoevs.protocol.truth import write_truth
 from geoevs.scenes.scene import SceneRef

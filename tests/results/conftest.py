@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import write_image
+from geoevs.core.images import write_image
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.protocol.condition_masks import RawReprojection, make_condition_masks
 from geoevs.protocol.records import write_records

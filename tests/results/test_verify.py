@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from geoevs import PROTOCOL, layout
-from geoevs.core.files import read_json, write_image, write_json, write_text
+from geoevs.core.files import read_json, write_json, write_text
 from geoevs.core.hashes import hash_path
+from geoevs.core.images import write_image
 from geoevs.core.parquet import write_parquet
 from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import ORACLES

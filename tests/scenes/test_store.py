@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_json, to_uint8, write_image, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.images import to_uint8, write_image
 from geoevs.methods.tiny import tiny_camera, write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera

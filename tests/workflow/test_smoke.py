@@ -12,7 +12,8 @@ import pytest
 
 from geoevs.conditions.artifact_masks import read_artifact_masks
 from geoevs.conditions.pairs import read_pairs
-from geoevs.core.files import read_image, read_json
+from geoevs.core.files import read_json
+from geoevs.core.images import read_image
 from geoevs.geometry.vggt import load_vggt
 from geoevs.protocol.depth_scoring import DEPTH_SCORE_TYPES
 from geoevs.results.table_specs import TABLES

@@ -14,7 +14,8 @@ import numpy as np
 
 from baselines.controls.reproject.adapter import Frames
 from baselines.controls.reproject.adapter import Method as Reprojection
-from geoevs.core.files import read_json, to_uint8, write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.images import to_uint8
 from geoevs.core.randomness import Rng
 from geoevs.core.settings import OneOf, check_fields
 from geoevs.methods.contract import Budget, FitReport, Rendering, Views

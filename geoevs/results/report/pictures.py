@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from geoevs.core.files import read_image, to_uint8
+from geoevs.core.images import read_image, to_uint8
 from geoevs.protocol.reference import SparseReference
 from geoevs.protocol.targets import Target
 from geoevs.results.figures import mask_picture, truth_picture, validity_picture

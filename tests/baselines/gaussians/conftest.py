@@ -10,7 +10,7 @@ import torch
 
 from baselines.gaussians.interface import Footprints
 from baselines.gaussians.model import Gaussians
-from geoevs.core.files import to_uint8
+from geoevs.core.images import to_uint8
 from geoevs.methods.contract import Views
 from geoevs.methods.tiny import tiny_camera
 from geoevs.projection import unproject_depth

@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from geoevs import layout
-from geoevs.core.files import write_bytes, write_image, write_json, write_text
+from geoevs.core.files import write_bytes, write_json, write_text
+from geoevs.core.images import write_image
 from geoevs.protocol.records import write_records
 from geoevs.protocol.reference import References
 from geoevs.protocol.rows import COST_TYPES, SCORE_TYPES, cost_frame, score_frame

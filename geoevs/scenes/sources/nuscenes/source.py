@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.files import check_file, read_image
+from geoevs.core.files import check_file
+from geoevs.core.images import read_image
 from geoevs.core.names import expanded, inside
 from geoevs.core.settings import OneOf
 from geoevs.scenes.camera import WORLD_LIMIT, Camera

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import read_image
+from geoevs.core.images import read_image
 from geoevs.core.names import expanded
 from geoevs.scenes.camera import WORLD_LIMIT, Camera
 from geoevs.scenes.checks import check_info
