@@ -295,9 +295,9 @@ def test_a_broken_folder_is_imported_or_refused(nuscenes, data):
         files = [path for path in sorted(folder.rglob("*")) if path.suffix != ".pcd"]
         files = [path for path in files if path.is_file() and path.stat().st_size]
         path = data.draw(st.sampled_from(files), "file")
-        spoil = edit_json if path.suffix == ".json" and data.draw(st.booleans()) else edit_bytes
-        if path.suffix == ".json" and json.loads(path.read_text()):
-            spoil(path, data)
+        table = path.suffix == ".json" and json.loads(path.read_text())
+        if table and data.draw(st.booleans(), "as a table"):
+            edit_json(path, data, {})
         else:
             edit_bytes(path, data)
         root = folder.parents[1]
