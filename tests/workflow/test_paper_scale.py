@@ -3,6 +3,7 @@
 Run by `pytest -m paper`; it takes minutes. Numbers mean nothing: networks are not trained.
 """
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -108,7 +109,7 @@ def test_the_papers_rules_pass_end_to_end(paper):
     ran = scores[scores["status"] == "ok"]
     assert set(MUST_RUN) <= set(ran["method"]), scores["reason"].unique()
     table = pd.read_csv(results / "tables/extrapolation.csv").set_index("method")
-    assert table.loc["geo-evs", "sparse_psnr"].notna().all()
+    assert np.isfinite(table.loc["geo-evs", "sparse_psnr"])
     assert (results / "report.html").stat().st_size > 10_000
 
 
