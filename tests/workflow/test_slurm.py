@@ -16,6 +16,7 @@ pytestmark = pytest.mark.slurm
 SLURM = (
     *("--workflow-profile", "profiles/slurm", "--max-threads", "2", "--resources", "mem_mb=16000"),
     *("--default-resources", "mem_mb=2000", "runtime=60"),
+    *("--groups", "score_sets=sets", "set_scores=sets"),
 )
 """What the profile says, for a node of two cores."""
 

@@ -6,6 +6,8 @@ rule report:
         rules.tables.input,
         rules.charts.input,
         SHOWN_RENDERS,
+        every_scene(layout.SCENE),
+        every_scene(layout.TARGETS),
         every_scene(layout.REFERENCES),
         every_scene(layout.MASKS),
         every_scene(layout.TRUTH),

@@ -34,6 +34,7 @@ PUBLIC = GEOMETRY["model"] not in ("lidar", SUITE_MODEL) or {*PRIORS} > {"nano"}
 localrules:
     scores,
     costs,
+    set_scores,
     depth_scores,
     audit_rows,
     stability_scores,

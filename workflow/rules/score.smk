@@ -78,8 +78,6 @@ rule score_sets:
         in_run(layout.SET_SCORE_PART),
     log:
         in_run("logs/score_sets/{dataset}/{label}.log"),
-    group:
-        sent_as("sets")
     resources:
         mem_mb=memory("score", scenes_of_dataset),
         runtime=minutes("score", scenes_of_dataset),
@@ -109,8 +107,6 @@ rule set_scores:
         in_run(layout.SET_SCORES),
     log:
         in_run("logs/set_scores.log"),
-    group:
-        sent_as("sets")
     params:
         code=code_hash("geoevs.core.parquet"),
     shell:

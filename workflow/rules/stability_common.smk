@@ -36,7 +36,13 @@ def stability_answers(wildcards):
         stress.world(wildcards.scene) for stress in stresses(wildcards.group, STABILITY)
     ]
     scenes = list(dict.fromkeys([wildcards.scene, *worlds]))
-    patterns = (layout.SCENE, layout.TARGETS, layout.REFERENCES, layout.TRUTH)
+    patterns = (
+        layout.SCENE,
+        layout.TARGETS,
+        layout.REFERENCES,
+        layout.MASKS,
+        layout.TRUTH,
+    )
     return [
         in_run(pattern).format(dataset=wildcards.dataset, scene=scene)
         for pattern in patterns

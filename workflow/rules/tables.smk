@@ -134,6 +134,8 @@ rule rank_agreement:
 rule figure:
     input:
         SHOWN_RENDERS,
+        every_scene(layout.SCENE),
+        every_scene(layout.TARGETS),
         every_scene(layout.REFERENCES),
         every_scene(layout.MASKS),
         every_scene(layout.TRUTH),
