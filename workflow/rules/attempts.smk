@@ -20,6 +20,11 @@ def attempt(pattern, *outcomes):
     )
 
 
+def tried(pattern, *outcomes):
+    """A function for resources: the number itself, odd after a fault of the machine."""
+    return lambda wildcards: attempt_of(in_run(pattern).format(**wildcards), outcomes)
+
+
 def told(*outcomes):
     """A function for `params`: the number of the attempt, which a job is told.
 

@@ -24,7 +24,7 @@ rule fit:
         sent_as("entrant")
     threads: workflow.cores
     resources:
-        mem_mb=memory("fit", tried=attempt(layout.MODEL, "fit.json")),
+        mem_mb=memory("fit", tried=tried(layout.MODEL, "fit.json")),
         runtime=within("fit", "fit"),
         gpu=GPU,
     params:
@@ -57,7 +57,7 @@ rule render:
         sent_as("entrant")
     threads: workflow.cores
     resources:
-        mem_mb=memory("fit", tried=attempt(layout.RENDERS, "render.json")),
+        mem_mb=memory("fit", tried=tried(layout.RENDERS, "render.json")),
         runtime=within("render", "render"),
         gpu=GPU,
     params:

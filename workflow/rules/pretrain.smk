@@ -4,16 +4,6 @@
 WEIGHTS = (SUITE_MODEL, "autoencoder", "prior")
 
 
-def pretrained(network):
-    """Where a new network is written."""
-    return in_run(layout.PRETRAINED).format(weights=network)
-
-
-def pretraining_work(network):
-    """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
-    return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
-
-
 rule pretrain_geometry:
     input:
         scenes=every_scene(layout.SCENE, PRETRAINING_SCENES),

@@ -1,12 +1,6 @@
 # One score row for every target and metric, one cost row for every fit (paper section 3.5).
 
 
-# Snakemake forgets what made pictures when it drops them: then their scores remember it.
-def renders_code(wildcards):
-    """Hash of what renders pictures, where they are dropped."""
-    return method_code("render")(wildcards) if DROPPED else "kept"
-
-
 rule score:
     input:
         scene=in_run(layout.SCENE),

@@ -71,7 +71,7 @@ rule stability_render:
     group:
         sent_as("stability")
     resources:
-        mem_mb=memory("fit", tried=attempt(layout.STABILITY_RENDERS, "*/outcome.json")),
+        mem_mb=memory("fit", tried=tried(layout.STABILITY_RENDERS, "*/outcome.json")),
         runtime=within("fit", "render"),
         gpu=GPU,
     params:

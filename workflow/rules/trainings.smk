@@ -19,7 +19,7 @@ rule prepare:
     group:
         sent_as("prepare")
     resources:
-        mem_mb=memory("prepare", tried=attempt(layout.PREPARED)),
+        mem_mb=memory("prepare", tried=tried(layout.PREPARED)),
         runtime=within("training"),
     params:
         inputs=prepare_arguments,

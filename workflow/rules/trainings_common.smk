@@ -98,3 +98,13 @@ def prior_of(wildcards):
     """The name of the weights that a training starts from."""
     settings = TRAININGS[wildcards.trainer].Settings
     return make_settings(wildcards.trainer, settings, settings_of(wildcards)).prior
+
+
+def pretrained(network):
+    """Where a new network is written."""
+    return in_run(layout.PRETRAINED).format(weights=network)
+
+
+def pretraining_work(network):
+    """A pretraining's own folder, no output: Snakemake deletes those of killed jobs."""
+    return in_run(layout.TRAINING).format(network=f"pretrain-{network}")
