@@ -232,8 +232,8 @@ def edit_bytes(path: Path, data: st.DataObject) -> bool:
 
 
 def edit_png(path: Path, data: st.DataObject) -> bool:
-    """Cut a PNG off, or change one byte; whether all before its end mark's checksum is left."""
-    before = path.read_bytes()[:-4]
+    """Cut a PNG off, or change one byte of it; whether all before its end mark is left."""
+    before = path.read_bytes()[:-12]
     edit_bytes(path, data)
     return path.read_bytes().startswith(before)
 

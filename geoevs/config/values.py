@@ -49,9 +49,13 @@ def check_values(config: Mapping[str, Any]) -> None:
                 f"'{dotted}' is wrong: its text has {len(value):,} characters; write "
                 f"{LONGEST_TEXT:,} at most",
             )
-        if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in value):
+        # C: control, format and surrogate characters, and those without a meaning.
+        kinds = {unicodedata.category(letter) for letter in value}
+        if kinds & {"Zl", "Zp"} or any(kind[0] == "C" for kind in kinds):
             raise SettingError(
-                key, f"'{dotted}' is wrong: its text is not one line of letters; remove line breaks"
+                key,
+                f"'{dotted}' is wrong: its text is not one line of letters; remove line breaks and "
+                "what cannot be seen",
             )
 
 
@@ -74,7 +78,8 @@ def explain(mistake: ValidationError) -> tuple[Key, str]:
     if mistake.validator == "additionalProperties":
         allowed = mistake.schema.get("properties", {})
         unknown = str(next(name for name in mistake.instance if name not in allowed))
-        return (*key, unknown), f"'{unknown}' is not a known key; {did_you_mean(unknown, allowed)}"
+        said = f"'{clean(unknown, 60)}' is not a known key; {did_you_mean(unknown, allowed)}"
+        return (*key, unknown), said
     if mistake.validator == "required":
         missing = next(name for name in mistake.validator_value if name not in mistake.instance)
         where = f"under '{_dotted(key)}'" if key else "at the top level"
@@ -96,7 +101,7 @@ def _rule(mistake: ValidationError) -> str:
 
 
 def _dotted(key: Key) -> str:
-    return ".".join(map(str, key))
+    return clean(".".join(map(str, key)), 100)
 
 
 def _complaint(mistake: ValidationError) -> str:

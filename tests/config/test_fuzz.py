@@ -117,7 +117,9 @@ def like(value, old):
     if old is MISSING or old is None or value is None:
         return finite(value)
     same = type(value) is type(old) or (type(old) is float and type(value) is int)
-    return same and (not isinstance(value, (int, float)) or number(0)(value))
+    return same and (
+        isinstance(value, bool) or not isinstance(value, int | float) or number(0)(value)
+    )
 
 
 def scene(value):
@@ -210,7 +212,7 @@ def is_sound(text: str | bytes, before: str) -> bool:
 
 def try_config(text: str | bytes, before: str = "") -> str:
     """What is said of the default config under an overlay; nothing if it is accepted."""
-    begun = time.monotonic()
+    begun = time.process_time()  # however busy the machine is
     with tempfile.TemporaryDirectory() as folder:
         overlay = Path(folder) / "over.yaml"
         overlay.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "replace"))
@@ -227,7 +229,7 @@ def try_config(text: str | bytes, before: str = "") -> str:
             assert said.isprintable(), said
         else:
             use(config)
-    assert time.monotonic() - begun < 10
+    assert time.process_time() - begun < 10
     sound = is_sound(text, before)
     count("configs", sound, bool(said))
     assert sound or said, "what is broken was used"

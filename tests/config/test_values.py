@@ -95,6 +95,8 @@ def test_no_number_of_the_config_may_be_endless(value):
         ("weights", "", "'weights' is wrong: '' is empty; write something"),
         ("weights", "a{b}", "'a{b}' has braces, which Snakemake takes for wildcards"),
         ("run", "a\n", "its text is not one line of letters; remove line breaks"),
+        ("run", "a\U000cf4f5", "remove line breaks and what cannot be seen"),
+        ("weights", "a\u202eb", "remove line breaks and what cannot be seen"),
         ("run", "x" * 5000, "its text has 5,000 characters; write 1,000 at most"),
         ("run", "x" * 100, "is too long; use 60 characters at most"),
         ("weights", "a\ud800", "its text is not one line of letters"),

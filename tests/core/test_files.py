@@ -187,12 +187,28 @@ def test_json_by_hand(tmp_path):
     assert read_json(tmp_path / "a.json") == {"b": [1, 2.5, None]}
 
 
-@pytest.mark.parametrize("text", ['{"a": 1', "", "not json", "\xff"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *('{"a": 1', "", "not json", "\xff"),
+        *(
+            '{"a": 1, "b": 2, "a": 1}',
+            '[{"b": {"a": 1, "a": 2}}]',
+            r'["\ud83d"]',
+            r'{"\uDE00x": 1}',
+        ),
+    ],
+)
 def test_broken_json_is_named(tmp_path, text):
     path = tmp_path / "a.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(GeoEvsError, match=r"a\.json is not valid JSON .*; restore or remake it"):
         read_json(path)
+
+
+def test_letters_of_two_halves_are_read(tmp_path):
+    (tmp_path / "a.json").write_text(r'["\ud83d\ude00", "\\ud83d"]')
+    assert read_json(tmp_path / "a.json") == ["\U0001f600", r"\ud83d"]
 
 
 @pytest.mark.parametrize("read", [read_json, read_image, read_arrays])
@@ -218,6 +234,18 @@ def test_a_truncated_image_is_whole_or_refused(folder, share, kind):
         assert len(data) - int(share * len(data)) <= 20
     else:
         assert re.fullmatch(rf"{path} is not a whole PNG or JPEG image \(.*\); .* again", refusal)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), flip=st.integers(1, 255))
+def test_a_png_with_a_changed_byte_is_refused(folder, data, flip):
+    path = folder / "flipped.png"
+    Image.fromarray(IMAGE).save(path)
+    raw = bytearray(path.read_bytes())
+    raw[data.draw(st.integers(0, len(raw) - 13))] ^= flip  # before the end mark, 12 bytes
+    path.write_bytes(raw)
+    with pytest.raises(GeoEvsError, match=r"flipped\.png is not a whole PNG or JPEG image"):
+        read_image(path)
 
 
 @settings(max_examples=60, deadline=None)

@@ -18,6 +18,7 @@ from geoevs.methods.check_training import TRAINING_CHECKS
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.template import new_adapter
 from geoevs.methods.tiny import write_tiny_scene
+from geoevs.methods.trained import trained_seconds
 from geoevs.methods.training import Inputs
 from geoevs.methods.training_steps import combine_files, prepare_scene, train_method
 
@@ -245,6 +246,13 @@ def test_a_training_at_its_limit_goes_on_to_the_same_bytes(trained, tmp_path):
         files.pop("seconds.json")
     resumed.pop("attempt.json")
     assert resumed == whole
+
+
+@pytest.mark.parametrize("said", ["NaN", "-1", "true", '"3"', "Infinity", "1e30", "null"])
+def test_seconds_of_a_training_that_are_none_are_refused(tmp_path, said):
+    (tmp_path / "seconds.json").write_text(f'{{"training": 3.5, "prior": {said}}}')
+    with pytest.raises(GeoEvsError, match=r"seconds\.json is not whole"):
+        trained_seconds(tmp_path)
 
 
 def test_a_training_that_combines_nothing_says_so(trained, tmp_path):

@@ -127,6 +127,8 @@ def test_targets_survive_a_round_trip(scene, tmp_path):
         (lambda t: t.update(split="observd"), "no split 'observd'; did you mean 'observed'?"),
         (lambda t: t.update(split=["observed"]), "no split '['observed']'"),
         (lambda t: t.update(sources="all"), "there is no sources 'all'; one of: all-cameras"),
+        (lambda t: t.update(pose_offset=180.1), "a pose_offset is 180.1, not from 0 to 180"),
+        (lambda t: t.update(lateral_shift=-5e6), "a lateral_shift is -5e+06, not from -1000 to"),
         (lambda t: t.update(pose_offset=float("nan")), "a pose_offset is nan, no finite"),
         (lambda t: t.update(lateral_shift="1"), "a lateral_shift is '1', no finite"),
         (lambda t: t.pop("mask_camera"), "is no target list (one lacks 'mask_camera')"),

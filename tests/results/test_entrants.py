@@ -35,6 +35,14 @@ def test_a_nameless_method_has_its_bare_name():
     assert Entrants({"mine.wide": Info("")}).name("mine", "wide") == "mine (wide)"
 
 
+@pytest.mark.parametrize("said", [None, [], {}, 3, True])
+def test_what_is_no_text_describes_nobody(tmp_path, said):
+    who = {"name": "A", "paradigm": "", "extra_prior": "", "needs": ""}
+    write_json(tmp_path / "entrants.json", {"a": {**who, "needs": said}})
+    with pytest.raises(GeoEvsError, match=r"entrants\.json does not say who plays"):
+        Entrants.read(tmp_path / "entrants.json")
+
+
 def test_the_paradigm_alone_makes_a_control():
     entrants = Entrants({"flat": Info("Flat", "control"), "reproject": Info("R", "diffusion")})
     assert entrants.is_control("flat")

@@ -246,6 +246,8 @@ def test_other_missing_files_are_named(pandaset, file, reason):
         (lambda s: s | {"z": np.array([1, 1, 1e300])}, "1 of 3 points"),
         (lambda s: s | {"d": np.array([0, 1, 2])}, "neither 0 nor 1"),
         (lambda s: s | {"y": np.array(["a", "b", "c"], object)}, "something else than numbers"),
+        (lambda s: s | {"x": np.array([True, True, False])}, "else than numbers in 'x'"),
+        (lambda s: s | {"d": np.array([False, False, True])}, "else than numbers in 'd'"),
         (lambda s: {label: s[label] for label in "xyz"}, "no column 'd'"),
     ],
 )
@@ -272,6 +274,8 @@ def test_bad_sweeps_are_named_with_their_count(pandaset, pandaset_files, edit, r
         (lambda c: c | {"stationary": np.array(["False"] * 4, object)}, "not true or false"),
         (lambda c: c | {"stationary": np.array([1, 0, 0, 0])}, "'stationary' that is not true or"),
         (lambda c: c | {"label": np.array([None] * 4, object)}, "'label' that is not text"),
+        (lambda c: c | {"cuboids.sibling_id": np.array([None] * 4, object)}, "that is not text"),
+        (lambda c: c | {"cuboids.sensor_id": np.ones(4, bool)}, "numbers in 'cuboids.sensor_id'"),
         (lambda c: c | {"cuboids.sensor_id": np.array([0, 1, 2, 3])}, "is not -1, 0 or 1"),
         (lambda c: c | {"uuid": np.array(["a", "a", "b", "c"], object)}, "two boxes of one track"),
     ],
