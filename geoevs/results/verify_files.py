@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from geoevs.core.locks import LOCK_FILE
+
 HEAD = 512
 """Bytes of a file that say what it is."""
 
@@ -18,7 +20,7 @@ BEGINNINGS = {".png": PNG, ".parquet": b"PAR1", ".npz": b"PK"}
 TEXTS = (".json", ".csv", ".tsv", ".md", ".tex", ".html", ".log", ".txt")
 """Ends of the names of text files."""
 
-NAMES = (".snakemake_timestamp",)
+NAMES = (".snakemake_timestamp", LOCK_FILE)
 """Other files that a run has, by their names."""
 
 

@@ -175,6 +175,13 @@ def test_a_column_without_pictures_is_left_out(run):
     assert (tile(grid, 0, 2) == 99).all()
 
 
+def test_dropped_renders_have_a_column_that_says_so(run):
+    grid = drawn("observed", run, labels=())
+    assert grid.shape == drawn("observed", run).shape
+    assert share(tile(grid, 0, 1), BACKGROUND) > 0.95  # but for the word `none`
+    assert share(tile(grid, 0, 0), BACKGROUND) < 0.5
+
+
 def test_a_run_without_the_split_has_no_rows(run):
     assert drawn("extrapolation", run, scenes=()).shape == (HEADER + MARGIN, MARGIN, 3)
 

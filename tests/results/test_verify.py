@@ -13,6 +13,7 @@ from geoevs import PROTOCOL, layout
 from geoevs.core.files import read_json, write_json, write_text
 from geoevs.core.hashes import hash_path
 from geoevs.core.images import write_image
+from geoevs.core.locks import lock_folder
 from geoevs.core.parquet import write_parquet
 from geoevs.core.stamps import MADE_WITH
 from geoevs.methods.contract import ORACLES
@@ -79,6 +80,7 @@ def honest(run, tmp_path_factory):
     for name in TABLES:
         write_table(run / f"tables/{name}", name, rows[0], SETTINGS, entrants, rows[2])
     write_cost_table(run / layout.COST_TABLE, rows[1], entrants)
+    lock_folder(run)()  # as a run leaves it
     return run
 
 
@@ -101,6 +103,21 @@ def test_an_honest_run_passes_and_nothing_is_written(honest):
     assert [check.problems for check in checks] == [[]] * 7
     assert "scores of 5 renders made again" in checks[-1].looked
     assert hash_path(honest) == before
+
+
+def test_a_run_whose_renders_were_dropped_says_so_and_passes(copy):
+    manifest = read_json(copy / layout.MANIFEST)
+    manifest["config"]["renders"] = "drop"
+    write_json(copy / layout.MANIFEST, manifest)
+    shutil.rmtree(copy / "renders")
+    checks = {check.name: check for check in verify_run(copy, 5)}
+    assert not any(check.problems for check in checks.values())
+    dropped = "renders were dropped when they were scored, as the config says"
+    assert checks["pictures"].looked == dropped
+    assert checks["scores"].looked == f"{dropped}, so no score can be made again"
+    del manifest["config"]["renders"]
+    write_json(copy / layout.MANIFEST, manifest)
+    assert problems(copy).keys() == {"scenes", "pictures", "scores"}
 
 
 def change_rows(run, change, name=layout.SCORES):

@@ -61,7 +61,7 @@ def test_a_scene_is_sent_as_few_jobs(apart):
     of_scene, *of_entrants = sorted(
         (sorted(job["rule"] for job in group) for group in groups.values()), reverse=True
     )
-    assert of_scene == ["references", "scene", "targets", "truth"]
+    assert of_scene == ["references", "scene", "scene_hash", "targets", "truth"]
     assert of_entrants == [["fit", "render", "score"]] * len(entrants)
     for group in groups.values():  # of one entrant
         assert len({job["wildcards"] for job in group}) == 1

@@ -115,6 +115,8 @@ rule scene_hash:
         in_run(layout.SCENE_HASH),
     log:
         in_run("logs/scene_hash/{dataset}/{scene}.log"),
+    group:
+        sent_as("scene")
     params:
         code=code_hash("geoevs.core.hashes"),
     shell:

@@ -36,6 +36,18 @@ def test_the_page_holds_the_run_and_needs_nothing_else(reported):
     assert list(embedded(page, "charts-data")) == ["charts/extrapolation"]
 
 
+def test_the_page_says_that_renders_were_dropped(reported, tmp_path):
+    run, page = reported
+    said = "Renders were dropped when they were scored, as the config says."
+    assert said not in page.read_text()
+    run = shutil.copytree(run, tmp_path / "run")
+    manifest = json.loads((run / layout.MANIFEST).read_text())
+    manifest["config"]["renders"] = "drop"
+    (run / layout.MANIFEST).write_text(json.dumps(manifest))
+    shutil.rmtree(run / "renders")
+    assert said in make_page(run)
+
+
 def test_results_of_any_folder_appear(reported):
     _, page = reported
     text = page.read_text()
