@@ -31,8 +31,12 @@ COMMANDS = (
     "tables",
     "outcomes",
     "adapters",
+    "sources",
 )
-FOR_PEOPLE = ("why", "compare", "verify", "grid", "new-adapter", "check-adapter", "export")
+FOR_PEOPLE = (
+    *("why", "compare", "verify", "grid"),
+    *("new-adapter", "check-adapter", "new-source", "check-source", "export"),
+)
 """The commands that people call, as the help lists them; rules call the others."""
 
 _log: Path | None = None
