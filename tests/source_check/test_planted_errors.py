@@ -178,7 +178,7 @@ def test_few_outlines_cannot_tell_half_a_pixel(found):
     [
         (("points = recording.sweep(frame)", "points = recording[frame]"), "TypeError: 'module' "),
         (("images[name] = ", "image = "), "frame 0 has no camera 'front'; supply it"),
-        (("size = self.width, self.height", "size = 8, 8"), "frame 0: the image of camera 'front' is uint8"),
+        (("size = self.width, self.height", "size = 8, 8"), "'front' is uint8 of shape (8, 8, 3)"),
         (('"car", *centre', '7, *centre'), "the scene: 'label' of a box is no text"),
         (("range(self.frames)", "()"), "IndexError: list index out of range (at planted.py:"),
     ],
