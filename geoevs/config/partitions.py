@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from geoevs.config.scene_lists import listed_scenes
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.settings import SettingError
 from geoevs.core.text import clean
@@ -20,18 +21,25 @@ MOST_OF_ALL = 50_000
 RANGE = re.compile(r"([a-zA-Z0-9_.-]*?)([0-9]{1,18})\.\.([0-9]{1,18})")
 
 
-def expand_scenes(scenes: Iterable[str]) -> list[str]:
-    """A config's scenes with its ranges written out.
+def expand_scenes(scenes: Iterable[str | Mapping[str, Any]]) -> list[str]:
+    """A config's scenes with its ranges and its indices of list files written out.
 
     Raises:
         GeoEvsError: a range is not of the form NAME and two rising numbers, or there are more than
-            MOST_SCENES, which are counted before any is written out.
+            MOST_SCENES, which are counted before any is written out; or a list file does not have
+            what is asked of it (see `listed_scenes`).
 
     >>> expand_scenes(["junction-7", "curve-008..010"])
     ['junction-7', 'curve-008', 'curve-009', 'curve-010']
     """
     names: list[str] = []
-    for text in scenes:
+    for number, text in enumerate(scenes):
+        if isinstance(text, Mapping):
+            try:
+                names.extend(listed_scenes(text))
+            except GeoEvsError as mistake:
+                raise SettingError((number,), str(mistake)) from mistake
+            continue
         if ".." not in text:
             names.append(text)
             continue
@@ -72,8 +80,8 @@ class Placed(NamedTuple):
     ref: SceneRef
 
 
-def placed_scenes(dataset: str, partitions: Mapping[str, list[str]]) -> list[Placed]:
-    """Every scene of a data set's partitions, ranges of scenes written out (see `expand_scenes`).
+def placed_scenes(dataset: str, partitions: Mapping[str, list[Any]]) -> list[Placed]:
+    """Every scene of a data set's partitions, ranges and lists written out (see `expand_scenes`).
 
     Raises:
         GeoEvsError: a scene is not of the form NAME or NAME@FIRST-LAST.
