@@ -35,7 +35,8 @@ COMMANDS = (
 )
 FOR_PEOPLE = (
     *("why", "compare", "verify", "grid"),
-    *("new-adapter", "check-adapter", "new-source", "check-source", "export"),
+    *("new-adapter", "check-adapter", "new-source", "check-source"),
+    *("export", "export-colmap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 
