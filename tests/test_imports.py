@@ -7,7 +7,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geoevs", "baselines")
 LAYERS = (
-    *("core", "layout", "scenes", "projection", "methods", "geometry", "conditions", "diffusion"),
+    *("core", "layout", "scenes", "projection", "source_check", "methods", "geometry"),
+    *("conditions", "diffusion"),
     *("generator baselines", "protocol run", "detection", "config", "results", "cli"),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names.split()}

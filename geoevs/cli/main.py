@@ -32,9 +32,12 @@ COMMANDS = (
     "outcomes",
     "adapters",
     "detection",
+    "sources",
 )
 FOR_PEOPLE = (
-    *("why", "compare", "verify", "grid", "new-adapter", "check-adapter", "export", "let-ap"),
+    *("why", "compare", "verify", "grid"),
+    *("new-adapter", "check-adapter", "new-source", "check-source"),
+    *("export", "export-colmap", "let-ap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 

@@ -40,6 +40,7 @@ def register(app: typer.Typer) -> None:
         score,
         score_sets,
         export,
+        export_colmap,
     ):
         app.command()(command)
 
@@ -237,3 +238,17 @@ def export(
     from geoevs.scenes.store import Scene
 
     export_views(out, Scene(scene), read_targets(targets), sources)
+
+
+def export_colmap(
+    scene: Annotated[Path, typer.Argument(help="a scene store")],
+    out: Out,
+) -> None:
+    """Write a scene store as a COLMAP text model with its images, for tools that read those.
+
+    The points are LiDAR that may condition methods; what scores them is left out.
+    """
+    from geoevs.scenes.interop import export_colmap as write_colmap
+    from geoevs.scenes.store import Scene
+
+    write_colmap(Scene(scene), out)

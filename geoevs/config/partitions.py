@@ -5,9 +5,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from geoevs.config.scene_lists import listed_scenes
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import check_file, whole_file
-from geoevs.core.names import expanded
 from geoevs.core.settings import SettingError
 from geoevs.core.text import clean
 from geoevs.methods.training import PARTITIONS as TRAINING_PARTITIONS
@@ -22,30 +21,24 @@ MOST_OF_ALL = 50_000
 RANGE = re.compile(r"([a-zA-Z0-9_.-]*?)([0-9]{1,18})\.\.([0-9]{1,18})")
 
 
-INDICES = re.compile(r"([0-9]{1,7})\.\.([0-9]{1,7})")
-
-MOST_LIST_BYTES = 2_000_000
-"""Of a list file: 50,000 names of Waymo's segments."""
-
-Listed = str | Mapping[str, str]
-"""A scene, a range of scenes, or `{list: FILE, indices: FIRST..LAST}`."""
-
-
-def expand_scenes(scenes: Iterable[Listed]) -> list[str]:
-    """A config's scenes with its ranges and list files written out.
+def expand_scenes(scenes: Iterable[str | Mapping[str, Any]]) -> list[str]:
+    """A config's scenes with its ranges and its indices of list files written out.
 
     Raises:
-        GeoEvsError: a range is not of the form NAME and two rising numbers, a list file is missing
-            or lacks what is asked of it, or there are more than MOST_SCENES, which are counted
-            before any is written out.
+        GeoEvsError: a range is not of the form NAME and two rising numbers, or there are more than
+            MOST_SCENES, which are counted before any is written out; or a list file does not have
+            what is asked of it (see `listed_scenes`).
 
     >>> expand_scenes(["junction-7", "curve-008..010"])
     ['junction-7', 'curve-008', 'curve-009', 'curve-010']
     """
     names: list[str] = []
-    for text in scenes:
-        if not isinstance(text, str):
-            names.extend(_from_list(text["list"], text["indices"], MOST_SCENES - len(names)))
+    for number, text in enumerate(scenes):
+        if isinstance(text, Mapping):
+            try:
+                names.extend(listed_scenes(text))
+            except GeoEvsError as mistake:
+                raise SettingError((number,), str(mistake)) from mistake
             continue
         if ".." not in text:
             names.append(text)
@@ -65,38 +58,6 @@ def expand_scenes(scenes: Iterable[Listed]) -> list[str]:
             )
         names.extend(f"{prefix}{int(first) + n:0{len(first)}d}" for n in range(count))
     return names
-
-
-def _from_list(file: str, indices: str, room: int) -> list[str]:
-    """The scenes of some lines of a list file, counted from 0; both ends are included."""
-    match = INDICES.fullmatch(indices)
-    if match is None or int(match[1]) > int(match[2]):
-        raise GeoEvsError(
-            f"indices '{clean(indices, 40)}' of {file} are not of the form FIRST..LAST, such as "
-            "0..9; lines are counted from 0, and both ends are included"
-        )
-    first, last = map(int, match.groups())
-    if last - first >= room:
-        raise GeoEvsError(
-            f"indices {indices} of {file} are {last - first + 1:,} scenes; a partition has "
-            f"{MOST_SCENES:,} at most, so name fewer"
-        )
-    path = check_file(expanded(file))
-    if path.stat().st_size > MOST_LIST_BYTES:
-        raise GeoEvsError(f"{path} is larger than {MOST_LIST_BYTES:,} bytes; list fewer scenes")
-    with whole_file(path):
-        lines = path.read_text(encoding="utf-8").splitlines()
-    if last >= len(lines):
-        raise GeoEvsError(
-            f"{path} has no index {max(first, len(lines))}; its {len(lines):,} lines are counted "
-            "from 0"
-        )
-    for number in range(first, last + 1):
-        try:
-            SceneRef.parse(lines[number])
-        except GeoEvsError as error:
-            raise GeoEvsError(f"{path}:{number + 1}: {clean(str(error), 200)}") from error
-    return lines[first : last + 1]
 
 
 def partition_scenes(
@@ -119,8 +80,8 @@ class Placed(NamedTuple):
     ref: SceneRef
 
 
-def placed_scenes(dataset: str, partitions: Mapping[str, list[Listed]]) -> list[Placed]:
-    """Every scene of a data set's partitions, ranges of scenes written out (see `expand_scenes`).
+def placed_scenes(dataset: str, partitions: Mapping[str, list[Any]]) -> list[Placed]:
+    """Every scene of a data set's partitions, ranges and lists written out (see `expand_scenes`).
 
     Raises:
         GeoEvsError: a scene is not of the form NAME or NAME@FIRST-LAST.

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import geoevs
+from geoevs.core.plugins import module_path
 
 ROOT = Path(geoevs.__file__).parents[1]
 PACKAGES = ("geoevs", "baselines")
@@ -19,8 +20,9 @@ is made again by Snakemake itself, and a new path concerns no rule that is there
 def code_hash(*modules: str) -> str:
     """Hash the code of `modules` and of the project's modules that they import, however deep.
 
-    The data files beside a module (see DATA) count with it. Comments, formatting and PATHS do not;
-    modules found by name at run time (plugins) must be named.
+    Of a package outside the project, what it imports from itself counts too. The data files beside
+    a module (see DATA) count with it. Comments, formatting and PATHS do not; modules found by name
+    at run time (plugins) must be named.
 
     Args:
         modules: such as `geoevs.core.files`; `MODULE:Class.method` counts the whole module, but
@@ -52,6 +54,8 @@ def code_hash(*modules: str) -> str:
 
 
 def _path(module: str) -> Path | None:
+    if module.split(".")[0] not in PACKAGES:
+        return module_path(module)
     base = ROOT / module.replace(".", "/")
     for path in (base.with_suffix(".py"), base / "__init__.py"):
         if path.is_file():
@@ -92,9 +96,20 @@ def _imports(module: str, function: str = "") -> tuple[str, ...]:
     for node in _nodes(_tree(module), "", function):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names.add(node.module)
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(filter(None, (_package(module, node.level), node.module)))
+            names.add(base)
+            names.update(f"{base}.{alias.name}" for alias in node.names)
+    followed = {*PACKAGES, module.split(".")[0]}
     return tuple(
-        name for name in names if name.split(".")[0] in PACKAGES and name != PATHS and _path(name)
+        name for name in names if name.split(".")[0] in followed and name != PATHS and _path(name)
     )
+
+
+def _package(module: str, level: int) -> str:
+    """What a relative import of some dots begins at; nothing for an absolute one."""
+    if not level:
+        return ""
+    parts = module.split(".")
+    up = level - (_path(module).name == "__init__.py")
+    return ".".join(parts[: len(parts) - up])

@@ -1,27 +1,48 @@
-"""Finding data sources and methods by the name of their folder, with no list to edit."""
+"""Finding data sources and methods by name, with no list to edit.
+
+Those of the project are folders. Those of packages elsewhere are entry points of the installed
+packages, whose value is the package that holds the file.
+"""
 
 import importlib
 import os
+import re
 import select
 import signal
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 from geoevs.core.errors import GeoEvsError, did_you_mean, reason_of
+from geoevs.core.text import clean
+
+ENTRY_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+"""What an entry point may be called: as a folder of the project may, with hyphens."""
 
 IMPORT_SECONDS = 60.0
 """How long importing one plugin may take; none of the suite's takes one second."""
 
 
-def find_plugins(file: str, *packages: str) -> dict[str, str]:
-    """Map plugin name to module for every folder of `packages` that holds `file`.py.
+def find_plugins(file: str, group: str, *packages: str, optional: bool = False) -> dict[str, str]:
+    """Map plugin name to module for every folder and entry point that holds `file`.py.
 
-    A plugin's name is its folder's, with hyphens for underscores. No plugin is imported.
+    A folder's plugin has its name, with hyphens for underscores; an entry point's has that of the
+    entry point. No plugin is imported.
+
+    Args:
+        file: without its ending, such as `adapter`.
+        group: of entry points, such as `geoevs.methods`.
+        packages: whose folders are plugins.
+        optional: whether an entry point may lack the file.
 
     Raises:
-        GeoEvsError: two folders have the same name, of which one would never be found.
+        GeoEvsError: two plugins have the same name, of which one would never be found; or an entry
+            point has no name that a config can have, or none of these files.
     """
     modules: dict[str, str] = {}
     for package in packages:
@@ -35,6 +56,22 @@ def find_plugins(file: str, *packages: str) -> dict[str, str]:
                         f"{path.parent} has the name '{name}', as {first} has; rename one folder"
                     )
                 modules[name] = f"{package}.{folder}.{file}"
+    for name, package, owner in _installed(group, tuple(sys.path)):
+        who = f"entry point '{clean(name, 60)}' of {group} in the package {clean(owner, 60)}"
+        if not ENTRY_NAME.fullmatch(name):
+            raise GeoEvsError(f"{who} has no lower-case letters and digits with hyphens; rename it")
+        if name in modules:
+            first = modules[name].rpartition(".")[0].replace(".", "/")
+            raise GeoEvsError(
+                f"{who} has the name of {first}; rename the entry point, or uninstall the package"
+            )
+        if module_path(f"{package}.{file}") is not None:
+            modules[name] = f"{package}.{file}"
+        elif not optional:
+            raise GeoEvsError(
+                f"{who} names {clean(package, 60)}, which has no {file}.py; name the package that "
+                "holds it, or uninstall"
+            )
     return modules
 
 
@@ -83,6 +120,27 @@ def _import_all(modules: Iterable[str], done: int) -> None:
         with suppress(BaseException):
             importlib.import_module(module)
         os.write(done, b".")
+
+
+@cache
+def _installed(group: str, path: tuple[str, ...]) -> list[tuple[str, str, str]]:
+    """Name, value and distribution of a group's entry points; read once for each `sys.path`."""
+    found = entry_points(group=group)
+    return sorted(
+        (point.name, point.value, point.dist.name if point.dist else "") for point in found
+    )
+
+
+def module_path(module: str) -> Path | None:
+    """The file of a module, found without importing any package around it; None if none."""
+    top, *parts = module.split(".")
+    spec = find_spec(top)  # of a name without dots, this imports nothing
+    for part in parts:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        spec = PathFinder.find_spec(f"{spec.name}.{part}", list(spec.submodule_search_locations))
+    place = spec.origin if spec else None
+    return Path(place) if place and place.endswith(".py") else None
 
 
 @contextmanager

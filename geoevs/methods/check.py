@@ -18,6 +18,7 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.isolate import MethodFailedError, absolute_paths, begin_part, run_isolated
+from geoevs.core.plugins import module_path
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import (
     NEEDS,
@@ -29,7 +30,7 @@ from geoevs.methods.contract import (
     Rendering,
     Views,
 )
-from geoevs.methods.finding import make_method
+from geoevs.methods.finding import find_methods, make_method
 from geoevs.methods.returned import checked_array, checked_report, checked_rgb
 from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
 from geoevs.scenes.camera import Camera
@@ -108,7 +109,7 @@ class Trial:
         self.name, self.options, self.folder = name, options, folder
         self.scene = write_tiny_scene(folder / "scene")
         self.source = self.scene.camera(SOURCE, FRAME)
-        self.before = _watched_files(folder)
+        self.before = _watched_files(folder, name)
         self.method = make_method(name, options)
         self.views: WatchedViews | None = None
         self.fitted = False
@@ -371,7 +372,7 @@ def _difference(first: Rendering, second: Rendering) -> str:
 
 
 def _check_own_folder(trial: Trial) -> None:
-    after = _watched_files(trial.folder)
+    after = _watched_files(trial.folder, trial.name)
     touched = [p for p in {**trial.before, **after} if trial.before.get(p) != after.get(p)]
     if touched:
         more = f" and {len(touched) - 1} more" if len(touched) > 1 else ""
@@ -380,11 +381,13 @@ def _check_own_folder(trial: Trial) -> None:
         )
 
 
-def _watched_files(folder: Path) -> dict[Path, tuple[int, int]]:
+def _watched_files(folder: Path, name: str) -> dict[Path, tuple[int, int]]:
     """Size and time of every file that a method has no business with."""
     roots = [folder / "cwd", folder / "scene"]
     for package in ("geoevs", "baselines"):
         roots += map(Path, importlib.import_module(package).__path__)
+    if (module := find_methods().get(name)) and (own := module_path(module)):
+        roots.append(own.parent)  # of a method outside the project too
     return {path: state for root in roots for path, state in _files(root)}
 
 

@@ -13,6 +13,9 @@ from geoevs.methods.training import Training, check_training_class
 FOLDERS = ("geoevs.generator", "baselines", "baselines.controls")
 """Packages whose folders are methods."""
 
+METHOD_GROUP = "geoevs.methods"
+"""Entry points by which installed packages offer methods."""
+
 
 def methods_root() -> Path:
     """The folder that holds `baselines`, where new methods are written."""
@@ -20,14 +23,14 @@ def methods_root() -> Path:
 
 
 def find_methods() -> dict[str, str]:
-    """Every method's name and module."""
-    return find_plugins("adapter", *FOLDERS)
+    """Every method's name and module, those of installed packages among them."""
+    return find_plugins("adapter", METHOD_GROUP, *FOLDERS)
 
 
 def find_trainings() -> dict[str, str]:
     """The name of every method that trains beforehand, and the module of its training."""
     methods = find_methods()
-    trainings = find_plugins("training", *FOLDERS)
+    trainings = find_plugins("training", METHOD_GROUP, *FOLDERS, optional=True)
     return {name: module for name, module in trainings.items() if name in methods}
 
 

@@ -24,6 +24,9 @@ NEAR = 1000.0
 """Metres from the world's origin up to which a scene keeps its coordinates: float32 holds them to
 0.06 mm."""
 
+SOURCE_GROUP = "geoevs.sources"
+"""Entry points by which installed packages offer data sources."""
+
 TRACK_COLUMNS = (
     "frame",
     "track",
@@ -312,8 +315,8 @@ class SceneRef(NamedTuple):
 
 
 def find_sources() -> dict[str, str]:
-    """Every data source's name and module."""
-    return find_plugins("source", "geoevs.scenes.sources")
+    """Every data source's name and module, those of installed packages among them."""
+    return find_plugins("source", SOURCE_GROUP, "geoevs.scenes.sources")
 
 
 def source_class(name: str) -> type[SceneSource]:

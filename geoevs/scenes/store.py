@@ -1,7 +1,8 @@
-"""The scene store: a folder that nerfstudio opens; no COLMAP model is written.
+"""The scene store: a folder that nerfstudio opens; `geoevs.scenes.interop` makes one for COLMAP.
 
 transforms.json            nerfstudio's format, plus camera, frame, timestamp and split
 images/<camera>/<frame>.png
+points.ply                 where nerfstudio starts: points that may condition methods
 lidar/<frame>.npz          xyz, rgb, camera, sensor, beam (see PointCloud)
 tracks.parquet             boxes, one row a frame and track (see TRACK_COLUMNS)
 scene.json                 what `SceneInfo` has; written last
@@ -52,6 +53,7 @@ from geoevs.scenes.extras import (
     read_zones,
     write_extras,
 )
+from geoevs.scenes.interop import ThinnedPoints, write_ply
 from geoevs.scenes.scene import (
     NO_EXTRAS,
     TRACK_COLUMNS,
@@ -68,6 +70,7 @@ from geoevs.scenes.scene import (
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 CAMERA_MODELS = ("OPENCV", "PINHOLE")
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+POINTS_FILE = "points.ply"
 POINT_FIELDS = [field.name for field in dataclasses.fields(PointCloud)]
 
 
@@ -146,6 +149,7 @@ def write_scene(
     who = f"scene '{info.name}'"
     check_info(info, who)
     check_tracks(tracks, who)
+    thinned = ThinnedPoints(info.rig)
     with new_folder(folder) as partial:
         entries: list[dict[str, Any]] = []
         sizes: dict[str, tuple[int, int]] = {}
@@ -169,6 +173,7 @@ def write_scene(
                     entry["exposure"] = list(frame.exposures[name])
                 entries.append(entry)
                 sizes[name] = frame.images[name].shape[:2]
+            thinned.add(points)
             arrays = {name: getattr(points, name) for name in POINT_FIELDS}
             write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
         if not entries:
@@ -176,7 +181,12 @@ def write_scene(
         check_extras(extras, sizes, who)
         write_extras(partial, extras)
         write_bytes(partial / "tracks.parquet", tracks[list(TRACK_COLUMNS)].to_parquet(index=False))
-        write_json(partial / "transforms.json", {"camera_model": "OPENCV", "frames": entries})
+        cloud = {}
+        if len(thinned.vertices):
+            write_ply(partial / POINTS_FILE, thinned.vertices)
+            cloud = {"ply_file_path": POINTS_FILE}
+        views = {"camera_model": "OPENCV", **cloud, "frames": entries}
+        write_json(partial / "transforms.json", views)
         described = {**vars(info), "rig": vars(info.rig), "made_with": dict(info.made_with)}
         write_json(partial / "scene.json", described)
 
@@ -341,6 +351,10 @@ class Scene:
                 f"{camera.height} x {camera.width}; resize the image, or w, h and the intrinsics"
             )
         return to_float(image)
+
+    def image_path(self, name: str, frame: int) -> Path:
+        """The file of what camera `name` recorded in `frame`."""
+        return self._view(name, frame).image
 
     def timestamp(self, frame: int) -> float:
         """Seconds at which `frame` was recorded."""

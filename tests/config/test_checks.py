@@ -464,44 +464,6 @@ def test_scenes_of_a_partition_in_order():
     assert expand_scenes(["curve-5..5", "1..3"]) == ["curve-5", "1", "2", "3"]
 
 
-def test_a_list_file_names_scenes_by_line(tmp_path):
-    file = tmp_path / "scenes.txt"
-    file.write_text("a\nb@3-4\nc\nd\n", encoding="utf-8")
-    listed = {"list": str(file), "indices": "1..2"}
-    assert expand_scenes(["x", listed, "y-1..2"]) == ["x", "b@3-4", "c", "y-1", "y-2"]
-
-
-@pytest.mark.parametrize(
-    ("text", "indices", "sentence"),
-    [
-        ("a\nb\n", "0..2", r"scenes.txt has no index 2; its 2 lines are counted from 0$"),
-        ("a\nb\n", "7..9", r"scenes.txt has no index 7; "),
-        ("a\nb\n", "1", "indices '1' of .*scenes.txt are not of the form FIRST..LAST"),
-        ("a\nb\n", "1..0", "are not of the form FIRST..LAST"),
-        ("a\nb\n", "0..10000", "are 10,001 scenes; a partition has 10,000 at most"),
-        ("a\n../b\n", "0..1", r"scenes.txt:2: scene '../b' is not of the form"),
-        ("a\n\nb\n", "0..2", r"scenes.txt:2: scene '' is not of the form"),
-        ("a\udcff", "0..0", "scenes.txt is not whole"),
-        ("a" * 2_000_001, "0..0", "scenes.txt is larger than 2,000,000 bytes"),
-        (None, "0..0", "scenes.txt is missing"),
-    ],
-)
-def test_a_list_file_that_lacks_them_is_one_sentence(tmp_path, text, indices, sentence):
-    file = tmp_path / "scenes.txt"
-    if text is not None:
-        file.write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(GeoEvsError, match=sentence) as error:
-        expand_scenes([{"list": str(file), "indices": indices}])
-    assert "\n" not in str(error.value)
-
-
-def test_a_mistake_in_a_list_names_the_configs_line(check):
-    with pytest.raises(GeoEvsError, match=r":\d+: .*nowhere.txt is missing"):
-        check('test: ["002@10-19"]', "test: [{list: nowhere.txt, indices: 0..1}]")
-    with pytest.raises(GeoEvsError, match=r"'indices'"):
-        check('test: ["002@10-19"]', "test: [{list: nowhere.txt}]")
-
-
 def test_entries_have_the_runs_seed_added_and_skip_null():
     labels = [entry.label for entry in method_entries(yaml.safe_load(VALID))]
     assert labels == [

@@ -21,7 +21,7 @@ def packages(tmp_path, monkeypatch):
     (tmp_path / "one" / "no_plugin").mkdir()
     (tmp_path / "one" / "adapter.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    yield find_plugins("adapter", "one", "two")
+    yield find_plugins("adapter", "no.group", "one", "two")
     for name in [name for name in sys.modules if name.split(".")[0] in ("one", "two")]:
         del sys.modules[name]
 
@@ -40,7 +40,7 @@ def test_two_folders_of_one_name_are_refused(packages, tmp_path, folder):
     (tmp_path / "two" / folder / "adapter.py").write_text("")
     sentence = f"^{tmp_path}/two/{folder} has the name 'a-b', as one/a_b has; rename one folder$"
     with pytest.raises(GeoEvsError, match=sentence):
-        find_plugins("adapter", "one", "two")
+        find_plugins("adapter", "no.group", "one", "two")
 
 
 def test_whatever_a_module_raises_becomes_one_sentence(packages):

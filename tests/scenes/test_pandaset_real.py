@@ -21,6 +21,7 @@ from geoevs.scenes.camera import Camera
 from geoevs.scenes.scene import SceneRef
 from geoevs.scenes.sources.pandaset.source import Source
 from geoevs.scenes.sources.pandaset.unpickle import read_table
+from geoevs.source_check.check import check_source
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,13 @@ def test_targets_have_the_known_support(all_frames):
             reference = sparse_reference(points, target, empty, np.random.default_rng(0))
             # As rows have it: of all frames 0.044 to 0.057.
             assert 0.04 < reference.mask().mean() < 0.062, (frame.frame, side, shift)
+
+
+def test_no_convention_is_wrong(real_folder):
+    findings, _ = check_source("pandaset", "002", {"folder": str(real_folder)}, 256, 384, 4)
+    statuses = {finding.name: finding.status for finding in findings}
+    unknown = {"beams": "not checked", "half a pixel": "not checked"}
+    assert statuses == dict.fromkeys(statuses, "ok") | unknown
 
 
 def test_boxes_hold_their_points(real_frames):

@@ -86,7 +86,7 @@ def test_writing_twice_gives_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         write_scene(tmp_path / name, INFO, TRACKS, iter([odd_frame()]))
     files = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*")]
-    assert len(files) == 5
+    assert len(files) == 6
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
