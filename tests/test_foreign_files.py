@@ -40,7 +40,7 @@ def test_text_files_are_utf8_whatever_the_locale():
 
 def test_one_function_decodes_images():
     opened = found(lambda name, call: name in ("Image.open", "PIL.Image.open"))
-    assert {place.split(":")[0] for place in opened} <= {"geoevs/core/files.py"}
+    assert {place.split(":")[0] for place in opened} <= {"geoevs/core/images.py"}
 
 
 def test_no_text_is_run_as_code():

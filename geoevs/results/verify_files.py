@@ -14,7 +14,7 @@ HEAD = 512
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
-BEGINNINGS = {".png": PNG, ".parquet": b"PAR1", ".npz": b"PK"}
+BEGINNINGS = {".png": PNG, ".parquet": b"PAR1", ".npz": b"PK", ".ply": b"ply\n"}
 """How files begin, by the end of their names."""
 
 TEXTS = (".json", ".csv", ".tsv", ".md", ".tex", ".html", ".log", ".txt")

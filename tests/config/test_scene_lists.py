@@ -94,7 +94,7 @@ def test_waymo_mini_is_the_first_fifth_and_its_partitions_share_no_segment(monke
     assert lines[158] == "13506499849906169066_120_000_140_000"
     assert lines[159] == "13517115297021862252_2680_000_2700_000"
     assert all(SceneRef.parse(line) == SceneRef(line) for line in lines)
-    partitions = yaml.safe_load(MINI.read_text())["datasets"]["waymo-mini"]["partitions"]
+    partitions = yaml.safe_load(MINI.read_text())["datasets"]["waymo"]["partitions"]
     named = {name: expand_scenes(entries) for name, entries in partitions.items()}
     assert named["train"] == named["clips"] == lines[10:128]
     disjoint = named["geometry"] + named["train"] + named["validation"] + named["test"]

@@ -67,7 +67,8 @@ class Project:
     def __init__(self, root: Path) -> None:
         self.folder = root / "baselines"
         self.folder.mkdir()
-        for name in ("__init__", "core/__init__", "core/code_hash", "core/compiled"):
+        used = ("code_hash", "compiled", "errors", "plugins", "text")
+        for name in ("__init__", "core/__init__", *(f"core/{module}" for module in used)):
             copy = root / "geoevs" / f"{name}.py"
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(Path(geoevs.__file__).parent / f"{name}.py", copy)
