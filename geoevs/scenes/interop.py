@@ -87,7 +87,8 @@ def export_colmap(scene: "Scene", out: Path) -> None:
         GeoEvsError: a file of the store is missing or damaged, or nothing can be written.
     """
     cameras: dict[tuple[str, bytes], int] = {}
-    camera_lines, image_lines = [], []
+    camera_lines: list[str] = []
+    image_lines: list[str] = []
     thinned = ThinnedPoints(scene.info.rig)
     with new_folder(out) as partial:
         for frame in scene.frames:
