@@ -39,6 +39,12 @@ def expand_scenes(scenes: Iterable[str | Mapping[str, Any]]) -> list[str]:
                 names.extend(listed_scenes(text))
             except GeoEvsError as mistake:
                 raise SettingError((number,), str(mistake)) from mistake
+            if len(names) > MOST_SCENES:
+                raise SettingError(
+                    (number,),
+                    f"up to {clean(text['list'], 60)} there are {len(names):,} scenes; a partition "
+                    f"has {MOST_SCENES:,} at most, so name fewer",
+                )
             continue
         if ".." not in text:
             names.append(text)

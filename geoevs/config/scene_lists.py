@@ -31,7 +31,8 @@ def listed_scenes(entry: Mapping[str, Any]) -> list[str]:
     path = expanded(entry["list"])
     lines = _read_lines(path)
     indices = _indices(entry["indices"])
-    last = max(indices, default=0)
+    # A range's last one, for a slip of the keyboard makes long ones.
+    last = indices[-1] if isinstance(indices, range) else max(indices, default=0)
     if last >= len(lines):
         raise GeoEvsError(
             f"{path} has {len(lines)} scenes, with indices 0 to {len(lines) - 1}, and index {last} "

@@ -1,5 +1,8 @@
 """Partitions that name lines of a list file."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,6 +56,8 @@ def test_a_config_takes_them(listed):
             "list: split.txt, indices: 3..4",
             "5: split.txt has 4 scenes, with indices 0 to 3, and index 4 is none of them; correct ",
         ),
+        ("list: split.txt, indices: 0..999999999", "5: split.txt has 4 scenes, with indices 0 to"),
+        ("list: many.txt, indices: 0..10000", "5: up to many.txt there are 10,002 scenes; a part"),
         ("list: split.txt, indices: [1, 9]", "5: split.txt has 4 scenes, with indices 0 to 3, and"),
         ("list: split.txt, indices: 2..1", "5: indices '2..1' are not of the form FIRST..LAST, su"),
         ("list: split.txt, indices: all", "5: indices 'all' are not of the form FIRST..LAST, such"),
@@ -69,6 +74,7 @@ def test_a_config_takes_them(listed):
 def test_a_mistake_names_the_overlay_its_line_and_the_list(listed, entry, sentence):
     (listed / "odd.txt").write_text("curve-1\n../b\n")
     (listed / "empty.txt").write_text("")
+    (listed / "many.txt").write_text("a\n" * 10_001)
     (listed / "binary.txt").write_bytes(b"\xff\x00\n")
     (listed / "large.txt").write_bytes(b"a" * (MOST_BYTES + 1))
     overlay = listed / "mine.yaml"
@@ -102,10 +108,19 @@ def test_waymo_mini_is_the_first_fifth_and_its_partitions_share_no_segment(monke
 
 
 @pytest.mark.skipif("waymo" not in find_sources(), reason="there is no data source 'waymo' yet")
-def test_waymo_mini_is_a_config(monkeypatch):
-    monkeypatch.chdir(PROJECT)
-    monkeypatch.setenv("GEOEVS_WAYMO", "/no/such/folder")
-    config = yaml.safe_load((PROJECT / "config.yaml").read_text())
-    update_config(config, yaml.safe_load(MINI.read_text()))
-    check_config(config, SCHEMA, [PROJECT / "config.yaml", MINI])
-    assert len(partition_scenes(config, "test", config["evaluate"])) == 20
+def test_waymo_mini_is_planned_without_the_data(tmp_path):
+    for name in ("Snakefile", "workflow", "profiles", "config.yaml", "geoevs", "baselines"):
+        (tmp_path / name).symlink_to(PROJECT / name)
+    files = ("--configfile", "config.yaml", "workflow/scales/waymo-mini.yaml")
+    command = [sys.executable, "-m", "snakemake", "-n", "--quiet", "rules", "--cores", "1", *files]
+    paths = os.pathsep.join([str(PROJECT), os.environ.get("PYTHONPATH", "")])
+    there = os.environ | {"GEOEVS_WAYMO": str(tmp_path / "none"), "PYTHONPATH": paths}
+    process = subprocess.run(
+        [*command, "--", "tables"],
+        cwd=tmp_path,
+        env=there,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
