@@ -28,7 +28,7 @@ USUAL_FRAMES = 200
 # Absent, not 0: to the plugin for Kubernetes a job that names none asks for one.
 GPU = config["cluster"]["gpu"] or None
 PRIORS = [training.get("prior", "nano") for training in config["trainings"].values()]
-PUBLIC = GEOMETRY["model"] not in ("lidar", SUITE_MODEL) or {*PRIORS} > {"nano"}
+PUBLIC = GEOMETRY["model"] not in ("lidar", SUITE_MODEL) or {*PRIORS} - {"nano"}
 
 
 localrules:

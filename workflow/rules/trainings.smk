@@ -55,6 +55,7 @@ rule train:
         prepared=prepared,
         combined=lambda wildcards: combined(wildcards.trainer),
         geometry=if_read("geometry", FINETUNED),
+        seconds=if_read("geometry", STORED_SECONDS),
     output:
         directory(in_run(layout.TRAINED)),
     log:

@@ -7,6 +7,13 @@ TRAININGS = {
         entry.training.partition("/")[0] for entry in ENTRIES.values() if entry.training
     )
 }
+# The depth network's seconds lie beside its weights. A storage plugin copies what is named alone;
+# elsewhere nobody names them, since another input would train again what is trained.
+STORED_SECONDS = [
+    in_run(layout.FINETUNED_SECONDS)
+    for _ in FINETUNED
+    if workflow.storage_settings.default_storage_provider
+]
 # Whose artifact masks are drawn: the ablation is about them.
 ABLATED = config["tables"]["ablation"]
 
