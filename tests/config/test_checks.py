@@ -344,7 +344,7 @@ MISTAKES = {
     "nobody who is left out": (
         "mean-colour: null",
         "mean-color: null",
-        "there is no method 'mean-color'; did you mean 'mean-colour'",
+        "21: there is no method 'mean-color'; did you mean 'mean-colour'",
     ),
     "ablation of nobody": (
         "ablation: reproject-inpaint",
