@@ -32,6 +32,13 @@ def check_methods(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
     if not entries:
         with located(("methods",), origins):
             raise GeoEvsError("there is no method to run; give one of them {} in place of null")
+    for name in config["methods"]:  # those that null leaves out too: a slip would leave out none
+        method = name.partition(".")[0]
+        with located(("methods", name), origins):
+            if method not in (*ORACLES, *found):
+                raise GeoEvsError(
+                    f"there is no method '{method}'; {did_you_mean(method, (*ORACLES, *found))}"
+                )
     labels: set[str] = set()
     checked: set[str] = set()
     for entry in entries:
@@ -42,11 +49,6 @@ def check_methods(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
             if entry.name in checked:
                 continue  # another seed
             checked.add(entry.name)
-            if entry.method not in (*ORACLES, *found):
-                raise GeoEvsError(
-                    f"there is no method '{entry.method}'; "
-                    f"{did_you_mean(entry.method, (*ORACLES, *found))}"
-                )
             if entry.method in ORACLES and entry.options:
                 raise GeoEvsError(f"the control '{entry.method}' has no options; remove them")
             _check_training(config, entry)

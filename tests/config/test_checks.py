@@ -341,6 +341,11 @@ MISTAKES = {
         "24: the edges must rise; sort them and drop repeats",
     ),
     "edges that repeat": ("[0, 0.1]", "[0, 0.1, 0.1]", "25: the edges must rise"),
+    "nobody who is left out": (
+        "mean-colour: null",
+        "mean-color: null",
+        "21: there is no method 'mean-color'; did you mean 'mean-colour'",
+    ),
     "ablation of nobody": (
         "ablation: reproject-inpaint",
         "ablation: reproject.wide",

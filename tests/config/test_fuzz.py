@@ -25,12 +25,13 @@ from geoevs.config.trainings import training_settings
 from geoevs.core.errors import GeoEvsError
 from geoevs.methods.finding import find_methods
 from geoevs.protocol.stressors import STRESSORS
+from geoevs.scenes.scene import find_sources
 from tests.fuzzing import MISSING, count, number, sound_json, text, whole
 
 PROJECT = Path(__file__).parents[2]
 SCHEMA = PROJECT / "workflow/schemas/config.schema.yaml"
 BASE = PROJECT / "config.yaml"
-TEXTS = [path.read_text() for path in (BASE, *sorted((PROJECT / "workflow/scales").iterdir()))]
+TEXTS = [path.read_text() for path in (BASE, *sorted((PROJECT / "workflow/scales").glob("*.yaml")))]
 
 few = settings(
     max_examples=settings().max_examples // 4,
@@ -68,6 +69,7 @@ VALUES = st.recursive(
 
 
 METHODS = {"reference", "truth", *find_methods()}
+DATASETS = {name for text in TEXTS for name in yaml.safe_load(text).get("datasets", {})}
 TRAININGS = {"default", "v1", "v2", "v2-unmatched", "v3"}
 SHIFT, ANGLE, SHARE = number(-1000, 1000), number(0, 180), number(0, 1)
 ABOVE_0 = 1e-300
@@ -123,8 +125,17 @@ def like(value, old):
 
 
 def scene(value):
-    kinds = r"(straight|curve|junction)-[0-9]+(@[0-9]+-[0-9]+|\.\.[0-9]+)?"
-    return text(value) and re.fullmatch(kinds, value) is not None
+    """Whether a value can name a scene: which there are, only the source's folder tells."""
+    if isinstance(value, dict):
+        known = value.keys() == {"list", "indices"}
+        return known and text(value["list"]) and lines(value["indices"])
+    name = r"[A-Za-z0-9_.-]+(@[0-9]+-[0-9]+|\.\.[0-9]+)?"
+    return text(value) and re.fullmatch(name, value) is not None
+
+
+def lines(value):
+    ranged = text(value) and re.fullmatch(r"[0-9]+\.\.[0-9]+", value)
+    return bool(ranged) or list_of(whole())(value)
 
 
 def training(value):
@@ -140,9 +151,14 @@ RULES = {
     ("run",): lambda value: text(value) and re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,59}", value),
     ("seed",): whole(0, 2**32 - 1),
     **each(("resolution",), whole(16, 8192), 2),
-    **each(("evaluate",), one_of("street", "street-stability")),
-    ("datasets", "*", "source"): one_of("street", "pandaset"),
-    **each(("datasets", "*", "partitions", "*", "?"), scene, 0),
+    ("renders",): one_of("keep", "drop"),
+    ("cluster", "gpu"): whole(0, 64),
+    **each(("evaluate",), one_of(*DATASETS)),
+    ("datasets", "*", "source"): one_of(*find_sources()),
+    ("datasets", "*", "partitions", "*", "*", "list"): text,
+    ("datasets", "*", "partitions", "*", "*", "indices"): lines,
+    ("datasets", "*", "partitions", "*", "?"): list_of(scene),
+    ("datasets", "*", "partitions", "*", "*"): scene,
     ("datasets", "*", "options", "*", "?"): like,
     ("datasets", "*"): section_of("source", "options", "partitions"),
     ("weights",): lambda value: text(value) and 0 < len(value) <= 1000 and value.isprintable(),
@@ -160,6 +176,7 @@ RULES = {
     **each(("protocol", "pose_sweep", "angles"), ANGLE, 0),
     **each(("protocol", "masked", "yaw"), ANGLE),
     **each(("protocol", "masked", "lateral"), SHIFT),
+    ("protocol", "every", "*"): whole(1, 10**6),
     **{("protocol", part, "every"): whole(1, 10**6) for part in ("pose_sweep", "masked")},
     **each(("protocol", "reference_keep"), number(ABOVE_0, 1)),
     ("budget", "fit_seconds"): or_none(number(ABOVE_0, 10**9)),
@@ -168,7 +185,7 @@ RULES = {
     ("methods", "*", "options", "?"): finite,
     ("methods", "*", "training", "?"): training,
     ("methods", "*", "seeds", "?"): list_of(whole(0, 2**31 - 1), 1),
-    ("methods", "*"): lambda value, old, key: (
+    ("methods", "*", "?"): lambda value, old, key: (
         key.split(".")[0] in METHODS and or_none(section_of("options", "training", "seeds"))(value)
     ),
     ("stability", "datasets"): list_of(lambda value: text(value) and value in DEFAULTS["datasets"]),
@@ -206,7 +223,7 @@ def is_sound(text: str | bytes, before: str) -> bool:
                 update_config(config, yaml.safe_load(overlay))
             merged.append(config)
         return sound_json(*merged, RULES)
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError):
+    except Exception:  # the plain reader raises anything
         return False
 
 
