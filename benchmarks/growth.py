@@ -5,7 +5,8 @@
 
 The run grows by scenes as large as the default's. Jobs are counted by a dry run; files and bytes
 follow from one frame of a street, made as the config says, and from the targets of its protocol.
-Each aggregation is a process of its own, with rows and arrays that are drawn. Sizes beyond the
+Each aggregation is a process of its own, with rows and arrays that are drawn; its seconds are those
+of CPU. Sizes beyond the
 largest one are not measured: they follow from the last two by a line, or by a parabola where work
 grows with pairs of views, and bear a tilde.
 """
@@ -18,7 +19,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,7 +55,7 @@ FEATURES = 54
 
 @dataclass(frozen=True)
 class Measured:
-    """Seconds, and the peak of memory in MB, at some sizes."""
+    """Seconds of CPU, and the peak of memory in MB, at some sizes."""
 
     power: int = 1
     at: dict[int, tuple[float, float]] = field(default_factory=dict)
@@ -81,16 +81,16 @@ def score_file(path: Path, size: int) -> None:
     writer.close()
 
 
-def part_list(folder: Path, size: int) -> Path:
+def part_list(folder: Path, size: int) -> None:
     """A list of as many files of rows as a run has; they are the same few."""
     folder.mkdir(exist_ok=True)
     parts = [folder / f"{number}.parquet" for number in range(PARTS)]
     if not parts[-1].exists():
-        for part, rows in zip(parts, np.array_split(score_rows(ROWS), PARTS), strict=True):
-            write_parquet(part, rows)
-    names = folder / f"{size}.txt"
-    names.write_text("".join(f"{part}\n" for part in parts * size), encoding="utf-8")
-    return names
+        rows = score_rows(ROWS)
+        for part, some in zip(parts, np.array_split(np.arange(len(rows)), PARTS), strict=True):
+            write_parquet(part, rows.iloc[some])
+    names = "".join(f"{part}\n" for part in parts * size)
+    (folder / f"{size}.txt").write_text(names, encoding="utf-8")
 
 
 def prepared_file(path: Path, views: int, height: int, width: int) -> None:
@@ -142,13 +142,12 @@ def draw_batches(path: Path, scenes: int) -> None:
 
 
 def measure(command: Sequence[str]) -> tuple[float, float]:
-    """Seconds and peak MB of a command."""
-    began = time.perf_counter()
+    """Seconds of CPU, which other work lengthens little, and peak MB of a command."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise SystemExit(f"failed: {' '.join(command)}")
-    return time.perf_counter() - began, usage.ru_maxrss / 1e3
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3
 
 
 def geoevs(*arguments: Any) -> tuple[float, float]:
@@ -166,13 +165,19 @@ def steps(folder: Path, shape: Sequence[int]) -> dict[str, tuple[int, Callable[[
     who, costs, pairs = folder / "who.json", folder / "costs.parquet", folder / "pairs.npz"
     geoevs("entrants", "--options", json.dumps({name: {} for name in ENTRANTS}), "--out", who)
     cost_rows().to_parquet(costs, index=False)
-    prepared_file(pairs, 20, *shape)
+    function(f"prepared_file(Path({str(pairs)!r}), 20, *{shape})")
 
+    # Made in other processes: Linux counts what this one held to its children's memory.
     @functools.cache
     def scores(size: int) -> Path:
         path = folder / f"scores-{size}.parquet"
-        function(f"score_file(Path({str(path)!r}), {size})")  # whose memory is not of what is next
+        function(f"score_file(Path({str(path)!r}), {size})")
         return path
+
+    @functools.cache
+    def parts(size: int) -> Path:
+        function(f"part_list(Path({str(folder / 'parts')!r}), {size})")
+        return folder / f"parts/{size}.txt"
 
     def of_scores(*command: str) -> Callable[[int], Any]:
         more = ("--entrants", who, "--out", folder / "out")
@@ -184,7 +189,7 @@ def steps(folder: Path, shape: Sequence[int]) -> dict[str, tuple[int, Callable[[
         "collect": (
             1,
             lambda size: geoevs(
-                *("collect", "--list", part_list(folder / "parts", size)),
+                *("collect", "--list", parts(size)),
                 *("--out", folder / "all.parquet"),
             ),
         ),

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
@@ -133,11 +134,15 @@ def table_rows(spec: TableSpec, scores: pd.DataFrame, settings: TableSettings) -
     """The score rows that a table averages, with the column `bin`; those in no bin are left out."""
     rows = _rows_of_table(spec, scores)
     if not spec.edges:
-        return rows.assign(bin=rows[spec.bins] if spec.bins else "")
+        return rows.assign(
+            bin=rows[spec.bins]
+            if spec.bins
+            else pd.Categorical.from_codes(np.zeros(len(rows), np.int8), [""])
+        )
     edges = getattr(settings, spec.edges)
     closed = [*edges[:-1], math.nextafter(edges[-1], math.inf)]  # the last bin holds its end
     cut = pd.cut(_places(rows, spec), closed, right=False, labels=bin_labels(edges))
-    return rows.assign(bin=cut.astype("string")).dropna(subset="bin")
+    return rows.assign(bin=cut.astype("string").astype("category")).dropna(subset="bin")
 
 
 def views_in_no_bin(

@@ -1,6 +1,7 @@
 """The paper's tables, measured and printed side by side, from score rows alone."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -173,6 +174,9 @@ def _worse(summary: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -
     """Whether the floor beats each mean; where either lacks views, on those that both delivered."""
     place = ["dataset", "bin", "metric"]
     floors = rows_of(summary, FLOOR, DEFAULT).set_index(place)
+    whole = summary["lacking"].eq(0).all()
+    groups = {} if whole else dict(list(rows.groupby(place, sort=False)))
+    means_alone = replace(settings, resamples=1)  # no interval is looked at
     worse = []
     for row in summary.itertuples():
         at = (row.dataset, row.bin, row.metric)
@@ -182,9 +186,10 @@ def _worse(summary: pd.DataFrame, rows: pd.DataFrame, settings: TableSettings) -
         floor = floors.loc[at]
         mean, bar = row.mean, floor["mean"]
         if row.lacking or floor["lacking"]:
-            here = rows[(rows[place] == list(at)).all(axis=1)]
-            both = (rows_of(here, *who) for who in ((row.method, row.variant), (FLOOR, DEFAULT)))
-            gap = paired_of(*both, settings)
+            both = (
+                rows_of(groups[at], *who) for who in ((row.method, row.variant), (FLOOR, DEFAULT))
+            )
+            gap = paired_of(*both, means_alone)
             mean, bar = gap.first, gap.second
         worse.append(mean < bar if METRICS[row.metric].higher_is_better else mean > bar)
     return worse
