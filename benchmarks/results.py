@@ -108,6 +108,8 @@ def cost_rows(entrants: list[str] = ENTRANTS) -> pd.DataFrame:
                         "primitives": 0,
                         "parameters": 0,
                         "device": "cpu",
+                        "host": "host",
+                        "cpu": "a processor",
                         "threads": 2,
                         "note": "",
                         "status": "ok",
