@@ -97,7 +97,7 @@ def networks():
     """Makers of networks so small that they run in milliseconds, and of images for them."""
     import numpy as np
     import torch
-    from diffusers import AutoencoderKL, UNet2DConditionModel
+    from diffusers import AutoencoderKL, PNDMScheduler, UNet2DConditionModel
 
     from geoevs.core.networks import seeded
     from geoevs.diffusion.autoencoder import Autoencoder, to_tensor
@@ -133,6 +133,26 @@ def networks():
             attention_head_dim=2,
         )
 
+    def tiny_public_prior(folder, levels=2):
+        """A tiny checkpoint as the Hugging Face repositories of latent-diffusion models are."""
+        AutoencoderKL(
+            block_out_channels=(8,) * levels,
+            down_block_types=("DownEncoderBlock2D",) * levels,
+            up_block_types=("UpDecoderBlock2D",) * levels,
+            layers_per_block=1,
+            norm_num_groups=4,
+            latent_channels=4,
+            scaling_factor=0.25,
+        ).save_pretrained(folder / "vae")
+        tiny_unet().save_pretrained(folder / "unet")
+        # As Stable Diffusion 2.1's own: another sampler, but the same process.
+        PNDMScheduler(
+            beta_schedule="scaled_linear",
+            beta_start=0.001,
+            beta_end=0.02,
+            prediction_type="epsilon",
+        ).save_pretrained(folder / "scheduler")
+
     def smooth_images(count, height=16, width=24, seed=0):
         """(N, H, W, 3) uint8: images of a few colours each."""
         rng = np.random.default_rng(seed)
@@ -146,6 +166,7 @@ def networks():
 
     class Makers:
         network, unet, images = map(staticmethod, (tiny_network, tiny_unet, smooth_images))
+        public_prior = staticmethod(tiny_public_prior)
 
         @staticmethod
         def autoencoder(block=2, latent=4):

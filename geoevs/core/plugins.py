@@ -5,6 +5,7 @@ packages, whose value is the package that holds the file.
 """
 
 import importlib
+import keyword
 import os
 import re
 import select
@@ -17,6 +18,8 @@ from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
+
+import yaml
 
 from geoevs.core.errors import GeoEvsError, did_you_mean, reason_of
 from geoevs.core.text import clean
@@ -73,6 +76,29 @@ def find_plugins(file: str, group: str, *packages: str, optional: bool = False) 
                 "holds it, or uninstall"
             )
     return modules
+
+
+def new_module(name: str, what: str) -> str:
+    """The name of the folder of a plugin that is to be called `name`.
+
+    Args:
+        name: with hyphens or underscores, such as `my-method`.
+        what: it is to be called, such as `method`, for errors.
+
+    Raises:
+        GeoEvsError: it is no name that a folder, a module and a config can all have.
+    """
+    module = name.replace("-", "_")
+    if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+|_[a-z0-9]+)*", name):
+        raise GeoEvsError(
+            f"'{name}' cannot name a {what}; use lower-case letters, digits and single hyphens, "
+            f"such as my-{what.split()[0]}"
+        )
+    if keyword.iskeyword(module) or keyword.issoftkeyword(module):
+        raise GeoEvsError(f"'{name}' is a word of Python's own; choose another name")
+    if yaml.safe_load(name) != name:
+        raise GeoEvsError(f"'{name}' is no text in YAML's eyes; choose another name")
+    return module
 
 
 def check_imports(modules: Iterable[str]) -> None:

@@ -1,13 +1,10 @@
 """A new method's first files: a small adapter that already keeps the contract, and its test."""
 
-import keyword
-import re
 from pathlib import Path
-
-import yaml
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder, write_text
+from geoevs.core.plugins import new_module
 from geoevs.methods.finding import check_free_name, find_methods
 
 ADAPTER = '''"""{name}: say in one line how it makes a view."""
@@ -297,16 +294,7 @@ def new_adapter(name: str, root: Path, training: bool = False) -> list[Path]:
     Raises:
         GeoEvsError: the name is illegal or taken, or nothing can be written.
     """
-    module = name.replace("-", "_")
-    if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+|_[a-z0-9]+)*", name):
-        raise GeoEvsError(
-            f"'{name}' cannot name a method; use lower-case letters, digits and single hyphens, "
-            "such as my-method"
-        )
-    if keyword.iskeyword(module) or keyword.issoftkeyword(module):
-        raise GeoEvsError(f"'{name}' is a word of Python's own; choose another name")
-    if yaml.safe_load(name) != name:
-        raise GeoEvsError(f"'{name}' is no text in YAML's eyes; choose another name")
+    module = new_module(name, "method")
     check_free_name(name)
     folder = root / "baselines" / module
     test = root / "tests" / "baselines" / f"test_{module}.py"

@@ -13,8 +13,9 @@ from geoevs.core.randomness import Rng
 from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, angle_between, view_key
+from geoevs.scenes.camera_json import camera_from_json, camera_to_json
 from geoevs.scenes.checks import frame_number, number
-from geoevs.scenes.store import Scene, camera_from_json, camera_to_json
+from geoevs.scenes.store import Scene
 from geoevs.scenes.virtual import virtual_camera, yaw_gap
 
 ALL_CAMERAS = "all-cameras"

@@ -1,12 +1,11 @@
 """A new data source's first files: a small source that already keeps the contract, and its test."""
 
-import keyword
-import re
 from pathlib import Path
 
 import geoevs
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder, write_text
+from geoevs.core.plugins import new_module
 from geoevs.scenes.scene import find_sources
 
 SOURCE = '''"""{name}: say in one line whose recordings these are."""
@@ -174,14 +173,7 @@ def new_source(name: str, root: Path) -> list[Path]:
     Raises:
         GeoEvsError: the name is illegal or taken, or nothing can be written.
     """
-    module = name.replace("-", "_")
-    if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+|_[a-z0-9]+)*", name):
-        raise GeoEvsError(
-            f"'{name}' cannot name a data source; use lower-case letters, digits and single "
-            "hyphens, such as my-data"
-        )
-    if keyword.iskeyword(module) or keyword.issoftkeyword(module):
-        raise GeoEvsError(f"'{name}' is a word of Python's own; choose another name")
+    module = new_module(name, "data source")
     folder = root / "geoevs/scenes/sources" / module
     test = root / f"tests/scenes/test_{module}.py"
     name = module.replace("_", "-")

@@ -6,11 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.camera_json import OPENCV_FROM_OPENGL
 from geoevs.scenes.checks import check_exposure, check_rig, check_sensors, timestamp
 from geoevs.scenes.scene import NEAR
+from geoevs.scenes.sources.conventions import FORWARD_FROM_OPENCV
 from geoevs.source_check.findings import NotCheckedError, Sample
 
 FASTEST = 70.0
@@ -38,14 +41,11 @@ and a frame at 10 Hz without its own pose 0.5 m and more."""
 FALLING = -0.8
 """Correlation of a point's elevation with its beam, at most, if beams count from the top."""
 
-OPENGL, FORWARD = np.diag([1.0, -1, -1, 1]), np.array(
-    [[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
-)  # fmt: skip
 LIKELY: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "a camera's axes are x forward, y left, z up, and should be OpenCV's": (
-        lambda pose: pose @ FORWARD
+        lambda pose: pose @ FORWARD_FROM_OPENCV
     ),
-    "a camera's axes are OpenGL's, and should be OpenCV's": lambda pose: pose @ OPENGL,
+    "a camera's axes are OpenGL's, and should be OpenCV's": lambda pose: pose @ OPENCV_FROM_OPENGL,
     "the poses are camera from world, and should be inverted": np.linalg.inv,
 }
 """Mistakes in poses that have no upright world, and what mends them."""
@@ -275,7 +275,7 @@ def disagreement(
         residual = np.einsum("ij,ij->i", target[index[kept]] - place, plane)
         rows = np.hstack([np.cross(place, plane), plane])
         step = np.linalg.lstsq(rows, residual, rcond=0.02)[0]
-        turn = _rotation(step[:3])
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
         rotation, shift = turn @ rotation, turn @ shift + step[3:]
     angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
     return float(np.linalg.norm(shift)), float(angle)
@@ -295,11 +295,3 @@ def _normals(points: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]
     away = around - around.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", away, away))
     return vectors[:, :, 0], values[:, 0] < 0.1 * values[:, 1]
-
-
-def _rotation(angles: np.ndarray) -> np.ndarray:
-    """(3, 3) of a rotation vector in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(angles))
-    x, y, z = angles / max(angle, 1e-12)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

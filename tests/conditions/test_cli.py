@@ -6,7 +6,6 @@ import types
 import numpy as np
 import pytest
 
-from geoevs.cli import main as cli
 from geoevs.conditions.artifact_masks import read_artifact_masks
 from geoevs.conditions.pairs import read_pairs
 from geoevs.core.files import read_json
@@ -18,7 +17,7 @@ class Lidar:
 
 
 @pytest.fixture
-def geoevs(monkeypatch, capsys):
+def geoevs(geoevs, monkeypatch):
     """Runs the command in this process, with a depth model; gives exit code and standard error."""
     asked = []
     models = types.ModuleType("depth_models")
@@ -26,14 +25,8 @@ def geoevs(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "geoevs.geometry.depth_models", models)
 
     def run(*arguments: object):
-        monkeypatch.setattr(sys, "argv", ["geoevs", *map(str, arguments)])
-        monkeypatch.setattr(cli, "_log", None)
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return code, capsys.readouterr().err
+        code, _, err = geoevs(*arguments)
+        return code, err
 
     run.asked = asked
     return run

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from diffusers import AutoencoderKL, DDIMScheduler, PNDMScheduler
+from diffusers import AutoencoderKL, DDIMScheduler
 
 import geoevs
 from geoevs.conditions.injection import ArtifactInjection
@@ -114,21 +114,7 @@ def test_missing_and_foreign_files_are_one_sentence(weights):
 @pytest.fixture
 def public(networks, tmp_path):
     """A tiny checkpoint as the Hugging Face repositories of latent-diffusion models are."""
-    vae = AutoencoderKL(
-        block_out_channels=(8, 8),
-        down_block_types=("DownEncoderBlock2D",) * 2,
-        up_block_types=("UpDecoderBlock2D",) * 2,
-        layers_per_block=1,
-        norm_num_groups=4,
-        latent_channels=4,
-        scaling_factor=0.25,
-    )
-    vae.save_pretrained(tmp_path / "public/vae")
-    networks.unet().save_pretrained(tmp_path / "public/unet")
-    # As Stable Diffusion 2.1's own: another sampler, but the same process.
-    PNDMScheduler(
-        beta_schedule="scaled_linear", beta_start=0.001, beta_end=0.02, prediction_type="epsilon"
-    ).save_pretrained(tmp_path / "public/scheduler")
+    networks.public_prior(tmp_path / "public")
     return tmp_path / "public"
 
 

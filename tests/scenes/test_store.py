@@ -14,8 +14,9 @@ from geoevs.core.images import to_uint8, write_image
 from geoevs.methods.tiny import tiny_camera, write_tiny_scene
 from geoevs.projection import project_points
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.camera_json import camera_from_json
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo, SceneRef
-from geoevs.scenes.store import Scene, camera_from_json, write_scene
+from geoevs.scenes.store import Scene, write_scene
 
 INFO = SceneInfo("a", "made up", "CC0-1.0", Rig("front", "left", "right", "beam"), ("front",))
 TRACKS = pd.DataFrame([], columns=list(TRACK_COLUMNS))

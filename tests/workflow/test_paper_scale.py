@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from diffusers import AutoencoderKL, PNDMScheduler, UNet2DConditionModel
 
 from geoevs.core.networks import seeded
 from geoevs.geometry.vggt import Vggt, VggtConfig, save_vggt
@@ -43,38 +42,8 @@ MUST_RUN = ("mean-colour", "reproject", "geo-evs", "geo-evs-support", "freevs", 
 OVERLAYS = ("config.yaml", "workflow/scales/waymo-mini.yaml", "workflow/scales/paper.yaml")
 
 
-def write_stable_diffusion(folder):
-    """A latent-diffusion model in the layout of its public repositories."""
-    AutoencoderKL(
-        block_out_channels=(8, 8, 8, 8),
-        down_block_types=("DownEncoderBlock2D",) * 4,
-        up_block_types=("UpDecoderBlock2D",) * 4,
-        layers_per_block=1,
-        norm_num_groups=4,
-        latent_channels=4,
-        scaling_factor=0.18215,
-    ).save_pretrained(folder / "vae")
-    UNet2DConditionModel(
-        in_channels=4,
-        out_channels=4,
-        block_out_channels=(8, 16),
-        layers_per_block=1,
-        norm_num_groups=4,
-        down_block_types=("DownBlock2D", "CrossAttnDownBlock2D"),
-        up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
-        cross_attention_dim=8,
-        attention_head_dim=2,
-    ).save_pretrained(folder / "unet")
-    PNDMScheduler(
-        beta_schedule="scaled_linear",
-        beta_start=0.00085,
-        beta_end=0.012,
-        prediction_type="epsilon",
-    ).save_pretrained(folder / "scheduler")
-
-
 @pytest.fixture
-def paper(workspace, monkeypatch):
+def paper(workspace, networks, monkeypatch):
     """A workspace with two made-up segments, and weights in the public layouts."""
     for name in SEGMENTS:
         segment = make_segment(frames=3 if name == SEGMENTS[0] else 2)
@@ -93,7 +62,9 @@ def paper(workspace, monkeypatch):
     )
     with seeded(0), torch.no_grad():
         save_vggt(Vggt(config), workspace.folder / "vggt.safetensors")
-        write_stable_diffusion(workspace.folder / "stable-diffusion")
+        networks.public_prior(
+            workspace.folder / "stable-diffusion", levels=4
+        )  # eighths, as its own
     (workspace.folder / "tiny.yaml").write_text(TINY, encoding="utf-8")
     monkeypatch.setenv("GEOEVS_WAYMO", str(workspace.folder / "waymo"))
     return workspace

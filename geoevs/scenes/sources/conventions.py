@@ -1,11 +1,44 @@
 """What data sources of recorded drives decide alike, so that their scores compare."""
 
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
 import numpy as np
 import pandas as pd
+
+from geoevs.core.errors import GeoEvsError
+from geoevs.scenes.camera import Camera
+from geoevs.scenes.scene import SceneRef, Truth
+
+FORWARD_FROM_OPENCV = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+"""(4, 4) the axes of OpenCV (right, down, forward) in those of a vehicle (forward, left, up)."""
 
 MOVING_SPEED = 0.5
 """Metres a second along the ground from which a box counts as moving: below it are the errors of
 parked cars' boxes."""
+
+
+class RecordedSource:
+    """What sources of recorded drives answer alike (see SceneSource)."""
+
+    has_truth = False
+
+    scene_words: ClassVar[str]
+    """What sentences call one of its scenes, such as `PandaSet scene`."""
+
+    def check(self, scene: SceneRef) -> None:
+        """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
+
+    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
+        """Recorded data have no truth where no camera stood.
+
+        Raises:
+            GeoEvsError: always.
+        """
+        raise GeoEvsError(
+            f"{self.scene_words} '{scene.name}' has no dense truth at new poses; score it on its "
+            "sparse reference, or use a procedural scene"
+        )
 
 
 def mark_moving(tracks: pd.DataFrame, moves: np.ndarray) -> pd.DataFrame:

@@ -1,6 +1,6 @@
 """nuScenes in the folder format of its release (see docs/nuscenes.md)."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -23,9 +23,9 @@ from geoevs.scenes.scene import (
     SceneInfo,
     SceneRecord,
     SceneRef,
-    Truth,
     scene_origin,
 )
+from geoevs.scenes.sources.conventions import RecordedSource
 from geoevs.scenes.sources.nuscenes.instants import (
     CAMERAS,
     CHANNELS,
@@ -53,7 +53,7 @@ EVERYWHERE = WORLD_LIMIT * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 """The zone without boxes of a frame that nobody labelled."""
 
 
-class Source:
+class Source(RecordedSource):
     """nuScenes: six cameras at 1600 x 900 and a LiDAR of 32 beams, with boxes twice a second.
 
     Its images are free of lens distortion, so they are only resized. Every image and every sweep
@@ -71,7 +71,7 @@ class Source:
             carries it.
     """
 
-    has_truth = False
+    scene_words = "nuScenes scene"
 
     def __init__(
         self,
@@ -88,9 +88,6 @@ class Source:
         self.version = version
         self.sweeps = sweeps
         self.ego_masks = None if ego_masks is None else expanded(ego_masks)
-
-    def check(self, scene: SceneRef) -> None:
-        """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
 
     def files(self, scene: SceneRef) -> Iterable[Path]:
         """The tables, and the pictures of the car; listing all samples would take minutes."""
@@ -147,17 +144,6 @@ class Source:
                     if instant.sample is None or self.version == "v1.0-test"
                 },
             ),
-        )
-
-    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
-        """Recorded data have no truth where no camera stood.
-
-        Raises:
-            GeoEvsError: always.
-        """
-        raise GeoEvsError(
-            f"nuScenes scene '{scene.name}' has no dense truth at new poses; score it on its "
-            "sparse reference, or use a procedural scene"
         )
 
     def _tables(self) -> Path:

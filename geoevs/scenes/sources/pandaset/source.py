@@ -1,6 +1,6 @@
 """PandaSet sequences in the folder format of their public release (see docs/pandaset.md)."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -9,7 +9,7 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.images import read_image
 from geoevs.core.names import expanded
-from geoevs.scenes.camera import WORLD_LIMIT, Camera
+from geoevs.scenes.camera import WORLD_LIMIT
 from geoevs.scenes.checks import check_info
 from geoevs.scenes.scene import (
     Exposure,
@@ -19,9 +19,9 @@ from geoevs.scenes.scene import (
     SceneInfo,
     SceneRecord,
     SceneRef,
-    Truth,
     scene_origin,
 )
+from geoevs.scenes.sources.conventions import RecordedSource
 from geoevs.scenes.sources.pandaset.calibration import (
     read_camera,
     read_entry,
@@ -45,7 +45,7 @@ SENSORS = {0: "Pandar64, which scores methods", 1: "PandarGT, which may conditio
 """What the column `d` of a sweep says."""
 
 
-class Source:
+class Source(RecordedSource):
     """PandaSet: six cameras at 1920 x 1080, two LiDARs and boxes, ten times a second.
 
     The released images are already free of lens distortion and `intrinsics.json` is their pinhole
@@ -58,14 +58,11 @@ class Source:
         folder: holds one folder per sequence, such as 002 (see `expanded`).
     """
 
-    has_truth = False
+    scene_words = "PandaSet scene"
 
     def __init__(self, height: int, width: int, *, folder: str) -> None:
         self.height, self.width = height, width
         self.folder = expanded(folder)
-
-    def check(self, scene: SceneRef) -> None:
-        """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
 
     def files(self, scene: SceneRef) -> Iterable[Path]:
         """The folders of its sensors and boxes."""
@@ -108,17 +105,6 @@ class Source:
             tracks=read_tracks(folder / "annotations/cuboids", frames, info.origin),
             frames=(self._read_frame(folder, info, frame) for frame in frames),
             frame_count=len(frames),
-        )
-
-    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
-        """Recorded data have no truth where no camera stood.
-
-        Raises:
-            GeoEvsError: always.
-        """
-        raise GeoEvsError(
-            f"PandaSet scene '{scene.name}' has no dense truth at new poses; score it on its "
-            "sparse reference, or use a procedural scene"
         )
 
     def _sequence(self, scene: SceneRef) -> Path:

@@ -9,6 +9,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.checks import check_exposure, number
 from geoevs.scenes.scene import Exposure
+from geoevs.scenes.sources.conventions import FORWARD_FROM_OPENCV
 from geoevs.scenes.sources.waymo.segment import CameraCalibration, CameraImage
 
 READOUTS = {1: (0, 1), 2: (1, 0), 3: (0, -1), 4: (-1, 0), 5: (0, 0)}
@@ -17,9 +18,6 @@ READOUTS = {1: (0, 1), 2: (1, 0), 3: (0, -1), 4: (-1, 0), 5: (0, 0)}
 
 LONGEST_GAP = 1.0
 """Seconds between a pose and its image at most; real ones are some milliseconds apart."""
-
-VEHICLE_FROM_OPENCV = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-"""The axes of OpenCV (right, down, forward) in those of Waymo (forward, left, up)."""
 
 CENTRE_SHIFT = 0.5
 """Waymo's pixel 0 begins at 0, as ours; OpenCV's is centred there."""
@@ -148,7 +146,7 @@ def pinhole(
     Raises:
         GeoEvsError: the camera is impossible (see Camera).
     """
-    pose = vehicle_pose(image, time) @ calibration.extrinsic @ VEHICLE_FROM_OPENCV
+    pose = vehicle_pose(image, time) @ calibration.extrinsic @ FORWARD_FROM_OPENCV
     pose[:3, 3] -= origin
     try:
         return Camera(lens.K, pose, calibration.height, calibration.width, name)

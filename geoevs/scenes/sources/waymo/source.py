@@ -20,9 +20,9 @@ from geoevs.scenes.scene import (
     SceneInfo,
     SceneRecord,
     SceneRef,
-    Truth,
     scene_origin,
 )
+from geoevs.scenes.sources.conventions import RecordedSource
 from geoevs.scenes.sources.waymo.camera import Lens, pinhole, read_exposure
 from geoevs.scenes.sources.waymo.find import open_segment, segment_files
 from geoevs.scenes.sources.waymo.lidar import joined, sweep_points
@@ -41,7 +41,7 @@ BOX_DELAY = 0.0
 """Seconds from a frame's timestamp to its boxes: label.proto has them live at the frame's start."""
 
 
-class Source:
+class Source(RecordedSource):
     """Waymo Open Dataset: five cameras, five LiDARs and boxes, ten times a second for 20 seconds.
 
     Images are undistorted with K unchanged, and have the pose of the instant at which the column of
@@ -54,7 +54,7 @@ class Source:
         second_returns: whether the LiDARs' second returns are points too.
     """
 
-    has_truth = False
+    scene_words = "Waymo segment"
 
     def __init__(
         self, height: int, width: int, *, folder: str, second_returns: bool = False
@@ -62,9 +62,6 @@ class Source:
         self.height, self.width = height, width
         self.folder = expanded(folder)
         self.second_returns = second_returns
-
-    def check(self, scene: SceneRef) -> None:
-        """Refuse nothing yet: a run whose scenes were read goes on without the data set."""
 
     def files(self, scene: SceneRef) -> Iterable[Path]:
         """The TFRecord file of a segment, or its Parquet files."""
@@ -111,17 +108,6 @@ class Source:
             frames=self._read_frames(segment, info, poses),
             frame_count=len(frames),
             extras=extras,
-        )
-
-    def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterator[Truth]:
-        """Recorded data have no truth where no camera stood.
-
-        Raises:
-            GeoEvsError: always.
-        """
-        raise GeoEvsError(
-            f"Waymo segment '{scene.name}' has no dense truth at new poses; score it on its sparse "
-            "reference, or use a procedural scene"
         )
 
     def _read_frames(
