@@ -1,15 +1,15 @@
 """The commands for people who add a method: `new-adapter` and `check-adapter`."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
 from geoevs.cli.arguments import parse_json
-from geoevs.methods.check import Check
-from geoevs.methods.finding import methods_root
-from geoevs.methods.template import new_adapter as write_adapter
+
+if TYPE_CHECKING:
+    from geoevs.methods.check import Check
 
 MARKS = {
     "passed": "[green]✓[/]",
@@ -32,6 +32,9 @@ def new_adapter(
     ] = False,
 ) -> None:
     """Write a small working adapter, for you to change, and its test."""
+    from geoevs.methods.finding import methods_root
+    from geoevs.methods.template import new_adapter as write_adapter
+
     root = methods_root()
     console = Console()
     written = write_adapter(name, root, training)
@@ -77,7 +80,7 @@ def check_adapter(
         raise typer.Exit(1)
 
 
-def _print_check(console: Console, check: Check, traceback: bool) -> None:
+def _print_check(console: Console, check: "Check", traceback: bool) -> None:
     line = f"{MARKS[check.status]} {check.name}"
     if check.sentence:
         line += f": {escape(check.sentence)}"

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from geoevs.core.files import new_folder, write_bytes, write_text
 from geoevs.core.images import to_uint8
@@ -130,6 +129,8 @@ def _intrinsics(camera: Camera) -> str:
 
 def _pose(camera: Camera) -> str:
     """Camera from world: a quaternion, w first, and a translation."""
+    from scipy.spatial.transform import Rotation  # slow to import, and stores need none
+
     x, y, z, w = Rotation.from_matrix(camera.camera_from_world[:3, :3]).as_quat()
     numbers = (w, x, y, z, *camera.camera_from_world[:3, 3])
     return " ".join(repr(float(number)) for number in numbers)

@@ -20,14 +20,14 @@ class Workspace:
 
     EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit")
     RESUMED = (
-        "conditions",
-        "results/smoke/depth-scores.parquet",
         *(
             f"results/smoke/parts/street/junction-201/{label}.scores.parquet"
             for label in ("mean-colour", "geo-evs", "external")
         ),
     )
     """What is killed and resumed: a control, a training, a failure, and what they need."""
+    STORAGE = ("--default-storage-provider", "folder", "--default-storage-prefix", "bucket")
+    """Files of the run lie in the folder `bucket`, which jobs know nothing of."""
     SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 
     def __init__(self, folder: Path) -> None:
@@ -90,6 +90,13 @@ class Workspace:
             for name in folders
             if name.startswith(".") and "~" in name
         }
+
+
+@pytest.fixture(scope="session")
+def plugins():
+    """The PYTHONPATH of a Snakemake that has the tests' plugins."""
+    paths = [str(Path(__file__).parent / "plugins"), str(PROJECT), os.environ.get("PYTHONPATH", "")]
+    return os.pathsep.join(filter(None, paths))
 
 
 @pytest.fixture

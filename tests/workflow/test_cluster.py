@@ -22,10 +22,9 @@ CONTROLS = ("reference", "mean-colour", "reproject")
 
 
 @pytest.fixture
-def apart(workspace, monkeypatch):
+def apart(workspace, plugins, monkeypatch):
     """A workspace whose Snakemake knows an executor that sends jobs elsewhere."""
-    paths = [str(Path(__file__).parent / "plugins"), str(PROJECT), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    monkeypatch.setenv("PYTHONPATH", plugins)
     return workspace
 
 

@@ -338,11 +338,6 @@ def test_a_killed_run_goes_on_to_the_same_bytes(smoke_run, workspace):
     assert found.keys() <= expected.keys()
     assert len(found) > 20
     assert [name for name in found if found[name] != expected[name]] == []
-    once, again = (
-        pd.read_parquet(place.folder / "results/smoke/depth-scores.parquet")
-        for place in (finished, workspace)
-    )
-    pd.testing.assert_frame_equal(once.drop(columns="seconds"), again.drop(columns="seconds"))
 
 
 def refusal(run) -> str:
