@@ -157,6 +157,12 @@ def _installed(group: str, path: tuple[str, ...]) -> list[tuple[str, str, str]]:
     )
 
 
+def packages_of(*groups: str) -> list[str]:
+    """Names of the installed packages that have entry points of these groups."""
+    path = tuple(sys.path)
+    return sorted({owner for group in groups for *_, owner in _installed(group, path) if owner})
+
+
 def module_path(module: str) -> Path | None:
     """The file of a module, found without importing any package around it; None if none."""
     top, *parts = module.split(".")

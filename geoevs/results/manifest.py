@@ -18,6 +18,9 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json, whole_file, write_bytes, write_json
 from geoevs.core.hashes import hash_path
 from geoevs.core.machine import processor
+from geoevs.core.plugins import packages_of
+from geoevs.methods.finding import METHOD_GROUP
+from geoevs.scenes.scene import SOURCE_GROUP
 
 PACKAGES = (
     "geoevs",
@@ -210,7 +213,8 @@ def cached_repository(name: str) -> str:
 
 
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+    names = (*PACKAGES, *packages_of(METHOD_GROUP, SOURCE_GROUP))
+    return {"python": platform.python_version()} | {name: _version(name) for name in names}
 
 
 def _machine() -> dict[str, Any]:

@@ -13,6 +13,7 @@ from geoevs.core.code_hash import code_hash
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.plugins import module_path
 from geoevs.methods.finding import find_methods, find_trainings
+from geoevs.results.manifest import make_manifest
 from geoevs.scenes.scene import find_sources
 from geoevs.scenes.store import Scene
 from geoevs.source_check.template import SOURCE
@@ -98,6 +99,10 @@ def test_they_are_found_without_being_imported(site):
     assert "their-method" not in find_trainings()
     assert module_path("their_package.data.source") == site / "their_package/data/source.py"
     assert "their_package" not in sys.modules
+
+
+def test_a_manifest_names_their_package(site):
+    assert make_manifest({"seed": 0}, [])["versions"]["their-package"] == "1.0"
 
 
 def test_they_run(site, tmp_path):
