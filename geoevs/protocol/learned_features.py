@@ -16,8 +16,8 @@ from geoevs.core.mapped import write_mapped
 if TYPE_CHECKING:
     from torch import Tensor
 
-RECENT = 2
-"""Pictures whose features are in memory: a view's two, which each metric asks for."""
+RECENT = 64
+"""Pictures whose features are in memory, as each metric asks for them: one takes 1 MB."""
 
 
 @dataclass(frozen=True)
