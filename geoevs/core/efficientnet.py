@@ -59,7 +59,7 @@ class EfficientNetLite0:
         self,
         images: Tensor,  # [N, 3, H, W] in [0, 1]
     ) -> tuple[list[Tensor], Tensor]:
-        """The maps after each of LAYERS, (N, C, h, w), and the features as a whole, (N, WIDTH).
+        """The maps after each of LAYERS, (N, h, w, C), and the features as a whole, (N, WIDTH).
 
         The latter are the mean over all places of what the classifier is given.
         """
@@ -73,7 +73,7 @@ class EfficientNetLite0:
             y = _pointwise(y, self.project[number])
             x = x + y if x.shape == y.shape else y
             if number in LAYERS:
-                layers.append(x)
+                layers.append(x.permute(0, 2, 3, 1))
         return layers, _pointwise(x, self.head).clamp_(0, 6).mean(dim=(2, 3))
 
     def classes(
@@ -93,11 +93,17 @@ def _pointwise(x: Tensor, convolution: Convolution) -> Tensor:
 def _same(x: Tensor, convolution: Convolution, stride: int, groups: int = 1) -> Tensor:
     """A convolution padded as TensorFlow's SAME: where that is odd, there is more at the end."""
     kernel = convolution[0].shape[-1]
-    pads = [max((math.ceil(side / stride) - 1) * stride + kernel - side, 0) for side in x.shape[2:]]
-    if any(pad % 2 for pad in pads):
-        (above, left), (below, right) = [pad // 2 for pad in pads], [-(-pad // 2) for pad in pads]
-        x, pads = functional.pad(x, (left, right, above, below)), [0, 0]
-    return functional.conv2d(x, *convolution, stride, [pad // 2 for pad in pads], groups=groups)
+    sides = [math.ceil(side / stride) for side in x.shape[2:]]
+    pads = [
+        max((out - 1) * stride + kernel - side, 0)
+        for out, side in zip(sides, x.shape[2:], strict=True)
+    ]
+    # Padded alike at both ends, with a stride more where that is not what is meant: the first
+    # outputs are then too many. That is quicker than padding a copy.
+    more = [pad % 2 for pad in pads]
+    padding = [pad // 2 + stride * one for pad, one in zip(pads, more, strict=True)]
+    y = functional.conv2d(x, *convolution, stride, padding, groups=groups)
+    return y[:, :, more[0] : more[0] + sides[0], more[1] : more[1] + sides[1]]
 
 
 @cache
@@ -129,13 +135,12 @@ def described(
     layers, features = published()(
         functional.interpolate(images, size, mode="bilinear", antialias=True)
     )
-    stored = {"dtype": torch.float16, "memory_format": torch.contiguous_format}
-    return [layer.to(**stored) for layer in layers], features
+    return [layer.half() for layer in layers], features
 
 
 def layer_distance(
-    x: list[Tensor],  # [N, C, h, w] each
-    y: list[Tensor],  # [N, C, h, w] each
+    x: list[Tensor],  # [N, h, w, C] each
+    y: list[Tensor],  # [N, h, w, C] each
 ) -> Tensor:
     """(N,) distance of pictures by their maps: what LPIPS is without its learned weights.
 
@@ -144,6 +149,6 @@ def layer_distance(
     """
     distance = torch.zeros(len(x[0]))
     for maps in zip(x, y, strict=True):
-        a, b = (functional.normalize(one.float(), dim=1, eps=1e-10) for one in maps)
-        distance += (a - b).square().sum(dim=1).mean(dim=(1, 2))
+        a, b = (functional.normalize(one.float(), dim=3, eps=1e-10) for one in maps)
+        distance += (a - b).square().sum(dim=3).mean(dim=(1, 2))
     return distance

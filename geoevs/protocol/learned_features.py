@@ -25,7 +25,7 @@ class LearnedFeatures:
     """What the network sees in one picture.
 
     Args:
-        layers: its maps, (1, C, h, w) float16 each (see `geoevs.core.efficientnet`).
+        layers: its maps, (1, h, w, C) float16 each (see `geoevs.core.efficientnet`).
         whole: (1280,) float32, the picture as a whole.
     """
 

@@ -83,7 +83,7 @@ def test_features_are_those_of_the_network_written_out(weights):
             assert y.shape[1] == width
             x = y + x if repeat else y
             if number in (0, 2, 4, 7, 10, 14):
-                expected.append(x)
+                expected.append(x.permute(0, 2, 3, 1))
             number += 1
     whole = layer(x, "_conv_head", "_bn1").mean(dim=(2, 3))
     layers, features = EfficientNetLite0(weights)(image)
@@ -109,12 +109,12 @@ def test_padding_is_tensorflows():
 def test_pictures_are_seen_at_a_height_of_224(weights):
     layers, features = described(torch.rand(1, 3, 32, 48))
     assert [tuple(layer.shape[1:]) for layer in layers] == [
-        (16, 112, 168),
-        (24, 56, 84),
-        (40, 28, 42),
-        (80, 14, 21),
-        (112, 14, 21),
-        (192, 7, 11),
+        (112, 168, 16),
+        (56, 84, 24),
+        (28, 42, 40),
+        (14, 21, 80),
+        (14, 21, 112),
+        (7, 11, 192),
     ]
     assert features.shape == (1, 1280)
 
@@ -133,8 +133,8 @@ def test_a_street_is_called_one(weights):
 
 def test_layer_distance_by_hand():
     """Channels (3, 4) and (6, 8) have one direction; (1, 0) and (0, 1) are 2 apart, squared."""
-    x = torch.tensor([[3.0, 1.0], [4.0, 0.0]]).reshape(1, 2, 1, 2)
-    y = torch.tensor([[6.0, 0.0], [8.0, 1.0]]).reshape(1, 2, 1, 2)
+    x = torch.tensor([[3.0, 4.0], [1.0, 0.0]]).reshape(1, 1, 2, 2)
+    y = torch.tensor([[6.0, 8.0], [0.0, 1.0]]).reshape(1, 1, 2, 2)
     assert layer_distance([x, x], [y, x]).item() == pytest.approx((0 + 2) / 2 + 0)
     assert layer_distance([x], [x]).item() == 0
     assert torch.isfinite(layer_distance([torch.zeros_like(x)], [y])).all()
