@@ -34,6 +34,7 @@ def register(app: typer.Typer) -> None:
         scene,
         targets,
         truth,
+        truth_features,
         references,
         fit,
         render,
@@ -101,6 +102,14 @@ def truth(
     data = load_source(source, height, width, parse_json("--options", options))
     with progress_bar(f"truth {name}", len(virtual_targets(views))) as advance:
         write_truth(out, data, SceneRef.parse(name), views, advance)
+
+
+def truth_features(run: Run, dataset: Dataset, scene: SceneInRun, out: Out) -> None:
+    """Keep what a network sees in a scene's true pictures, for `geoevs score-sets`."""
+    from geoevs.protocol.set_scoring import write_truth_features
+    from geoevs.run import Answers
+
+    write_truth_features(out, Answers(run, dataset, scene))
 
 
 def references(
@@ -206,18 +215,24 @@ def score_sets(
     dataset: Dataset,
     scenes: Annotated[list[str], typer.Option(help="A test scene of it; repeat for more.")],
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Of the intervals.")],
+    protocol: Annotated[str, typer.Option(help="The config's protocol section, as JSON.")],
     out: Out,
+    views: Annotated[Path, typer.Option(help="Where the score rows of single views go.")],
     variant: str = "default",
     seed: Seed = 0,
 ) -> None:
     """Score a method's views of a data set as a set of images: FID and KID, or what stands in."""
     from geoevs.core.parquet import write_parquet
     from geoevs.protocol.entries import MethodEntry
+    from geoevs.protocol.rows import score_frame
     from geoevs.protocol.set_scoring import score_sets as score
     from geoevs.protocol.set_scoring import set_frame
 
-    rows = score(MethodEntry(method, variant, {}, seed), run, dataset, scenes, confidence)
-    write_parquet(out, set_frame(rows))
+    settings = parse_json("--protocol", protocol)
+    entry = MethodEntry(method, variant, {}, seed)
+    sets, scores = score(entry, run, dataset, scenes, confidence, settings)
+    write_parquet(out, set_frame(sets))
+    write_parquet(views, score_frame(scores))
 
 
 def export(

@@ -1,6 +1,6 @@
 """The metric on trial: what the sparse reference says, against dense truth that only streets have.
 
-Rows of five parts, one scene at a time:
+Rows of six parts, one scene at a time:
 
 - `agreement`: every sparse metric (`value`) beside its dense twin (`dense`), at shares of the
   reference;
@@ -9,7 +9,9 @@ Rows of five parts, one scene at a time:
 - `reference`: shares of reference pixels that are wrong, and why, under both visibility rules;
 - `ceiling`: LiDAR coloured by the other cameras, against the photo of a recorded camera;
 - `conditioning`: the metric on points that methods may read (`value`) and on those that they may
-  not (`dense`).
+  not (`dense`);
+- `harm`: distances of pictures, and of sets of them, under known harm (see
+  `geoevs.protocol.harm`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,6 +25,7 @@ from geoevs.core.randomness import Rng
 from geoevs.methods.contract import ORACLES
 from geoevs.projection import colour_points, project_points, zbuffer
 from geoevs.protocol.entries import OK, MethodEntry, read_outcomes
+from geoevs.protocol.harm import harm_rows
 from geoevs.protocol.masked_means import MaskedMean
 from geoevs.protocol.metrics import MAE, METRICS, PSNR, RMSE, SSIM
 from geoevs.protocol.pictures import read_view
@@ -67,12 +70,12 @@ SURFACE = 0.05
 
 
 def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> pd.DataFrame:
-    """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling alone.
+    """All rows of one scene, as AUDIT_TYPES says; without dense truth, of the ceiling and harm.
 
     Args:
         answers: the scene's.
         entries: whose renders to judge; failed ones, and views, are passed over.
-        seed: draws the random pixels.
+        seed: draws the random pixels, and the random harm.
     """
     folders = [(entry, answers.renders(entry.label)) for entry in entries]
     endings = [read_outcomes(folder / "render.json").get(ALL_CAMERAS, {}) for _, folder in folders]
@@ -81,7 +84,7 @@ def audit_rows(answers: Answers, entries: Sequence[MethodEntry], seed: int) -> p
         for (entry, folder), ending in zip(folders, endings, strict=True)
         if ending.get("status") == OK
     ]
-    rows = list(_ceiling(answers.scene))
+    rows = [*_ceiling(answers.scene), *harm_rows(answers, seed)]
     for target in answers.targets:
         if target.split != "extrapolation" or answers.depth(target) is None:
             continue

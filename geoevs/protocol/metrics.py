@@ -17,8 +17,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from geoevs.protocol.learned_features import learned_features
 from geoevs.protocol.masked_means import MaskedMean, MaskedPixelMean, precision_of, sum_of
-from geoevs.protocol.weights import missing_weights
+from geoevs.protocol.weights import missing_efficientnet, missing_weights
 
 
 class MAE(MaskedPixelMean):
@@ -300,13 +301,54 @@ def _alexnet_distance() -> Any:
     return lpips.LPIPS(net="alex", spatial=True, verbose=False).eval()
 
 
+class EfficientNetLayers(MaskedMean):
+    """Distance of two pictures by the maps of EfficientNet-Lite0, without any learned weights.
+
+    Its mean over pictures (see `geoevs.core.efficientnet.layer_distance`). The network was trained
+    on ImageNet, and the distance was fitted to nobody's judgement: this is not LPIPS. Invalid
+    pixels show the truth in both pictures.
+    """
+
+    higher_is_better = False
+
+    @classmethod
+    def missing(cls) -> str:
+        """The reason why this machine cannot compute it, in one sentence; empty where it can."""
+        return missing_efficientnet()
+
+    def update(
+        self,
+        preds: np.ndarray,  # [H, W, C]
+        target: np.ndarray,  # [H, W, C]
+        mask: np.ndarray,  # [H, W] bool
+    ) -> None:
+        """Add one picture, if any of its pixels is valid."""
+        if not mask.any():
+            return
+        from geoevs.core.efficientnet import layer_distance
+
+        shown = np.where(mask[..., None], preds, target)
+        x, y = (learned_features(image / self.data_range).layers for image in (shown, target))
+        self.total += float(layer_distance(x, y))
+        self.count += 1
+
+
 @dataclass(frozen=True)
 class MetricSpec:
-    """A named metric: its kind, and which of a target's masks it runs over (see scoring)."""
+    """A named metric: its kind, and which of a target's masks it runs over (see scoring).
+
+    Args:
+        kind: the metric.
+        region: a name of the region.
+        unit: what its numbers count.
+        with_sets: whether it is scored with the distances of sets, whose features it shares, and
+            on their splits alone.
+    """
 
     kind: type[MaskedMean]
     region: str
     unit: str = ""
+    with_sets: bool = False
 
     @property
     def higher_is_better(self) -> bool:
@@ -336,6 +378,7 @@ METRICS = {
     "mae": MetricSpec(MAE, "dense"),
     "gms": MetricSpec(GMS, "dense"),
     "lpips": MetricSpec(LPIPS, "dense"),
+    "efficientnet_layers": MetricSpec(EfficientNetLayers, "dense", with_sets=True),
 }
 """Every metric by its name in the rows, with the region of a target that it runs over.
 

@@ -25,6 +25,7 @@ def score_method(
 ) -> list[dict[str, Any]]:
     """Score every target of a scene; a render or a view that failed gives rows that say so.
 
+    Metrics that share features with distances of sets are left out: `score_sets` has their rows.
     Methods without a condition map have no rows of masked targets, unless their fit failed: then
     nobody could ask them.
 
@@ -37,7 +38,6 @@ def score_method(
     """
     renders = answers.renders(entry.label)
     outcomes = read_outcomes(renders / "render.json")
-    common = {**answers.place, "fingerprint": fingerprint}
     main, *thinned = keeps
     rows = []
     for target in answers.targets:
@@ -50,14 +50,15 @@ def score_method(
         if target.masked and not outcome.get("masked", True):
             continue
         preds, outcome = read_view(renders, target, outcome)
-        described = {**common, **describe(entry, target), **cause(outcome)}
+        plain = plain_columns(entry, answers, target, outcome, fingerprint)
         regions = answers.regions(target, main)
-        names = [name for name, spec in METRICS.items() if spec.region in regions]
-        plain = {**described, "stressor": "", "level": math.nan}
+        names = [
+            name for name, spec in METRICS.items() if spec.region in regions and not spec.with_sets
+        ]
         rows += [{**plain, **score} for score in score_regions(names, preds, regions)]
         if target.split == "extrapolation":
             for keep in thinned:
-                stressed = {**described, "stressor": THINNING, "level": keep}
+                stressed = {**plain, "stressor": THINNING, "level": keep}
                 scores = score_regions(THINNED_METRICS, preds, answers.regions(target, keep))
                 rows += [{**stressed, **score} for score in scores]
     return rows
@@ -74,6 +75,32 @@ def score_regions(
         regions: what they should look like.
     """
     return [_score(name, preds, regions[METRICS[name].region]) for name in names]
+
+
+def plain_columns(
+    entry: MethodEntry,
+    answers: Answers,
+    target: Target,
+    outcome: dict[str, Any],
+    fingerprint: str,
+) -> dict[str, Any]:
+    """The columns of a row under no stress that do not depend on the metric.
+
+    Args:
+        entry: who rendered.
+        answers: the scene's.
+        target: the view.
+        outcome: how it ended (see `read_view`).
+        fingerprint: of the protocol.
+    """
+    return {
+        **answers.place,
+        "fingerprint": fingerprint,
+        **describe(entry, target),
+        **cause(outcome),
+        "stressor": "",
+        "level": math.nan,
+    }
 
 
 def describe(entry: MethodEntry, target: Target) -> dict[str, Any]:

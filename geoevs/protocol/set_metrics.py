@@ -1,13 +1,15 @@
 """Distances between what a method renders and what is true, as sets of images.
 
-The real FID and KID run where their network is on the machine. `texture_energy` needs no weights:
-it is the energy distance, estimated as KID is, of statistics of derivatives at several scales.
+The real FID and KID run where their network is on the machine. `efficientnet_fd` and
+`efficientnet_kd` are their formulas on the features of another network, whose weights a package
+ships: their numbers compare with nobody's FID or KID. `texture_energy` needs no weights: it is the
+energy distance, estimated as KID is, of statistics of derivatives at several scales.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from statistics import NormalDist
 from typing import Any
 
@@ -15,7 +17,8 @@ import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from geoevs.protocol.weights import missing_weights
+from geoevs.protocol.learned_features import learned_features
+from geoevs.protocol.weights import missing_efficientnet, missing_weights
 
 INCEPTION = "weights-inception-2015-12-05-6726825d.pth"
 """The file of Inception's weights, as torch-fidelity names it."""
@@ -59,6 +62,11 @@ def inception_features(image: np.ndarray) -> np.ndarray:
     pixels = torch.from_numpy(to_uint8(image)).permute(2, 0, 1)[None]
     with torch.inference_mode():
         return _inception()(pixels)[0][0].double().numpy()
+
+
+def efficientnet_features(image: np.ndarray) -> np.ndarray:
+    """(1280,) features of EfficientNet-Lite0 of an (H, W, 3) image in [0, 1]."""
+    return learned_features(image).whole.astype(np.float64)
 
 
 @cache
@@ -200,24 +208,25 @@ class SetMetric:
         features: gives an image's features, (D,), from its pixels, (H, W, 3).
         distance: compares two arrays of features, (N, D), whose views belong to frames, (N,).
         standardised: whether features are first centred and scaled by those of the true images.
-        weights: the package and the file of weights that the features need, or None.
+        missing: gives the reason why this machine cannot compute it; empty where it can.
     """
 
     features: Callable[[np.ndarray], np.ndarray]
     distance: Callable[..., Estimate]
     standardised: bool = False
-    weights: tuple[str, str] | None = None
-
-    def missing(self) -> str:
-        """The reason why this machine cannot compute it; empty where it can."""
-        return missing_weights(*self.weights) if self.weights else ""
+    missing: Callable[[], str] = lambda: ""
 
 
-_INCEPTION = ("torch_fidelity", INCEPTION)
-"""The package and the weights that FID and KID need."""
+_no_inception = partial(missing_weights, "torch_fidelity", INCEPTION)
 SET_METRICS = {
-    "fid": SetMetric(inception_features, frechet_distance, weights=_INCEPTION),
-    "kid": SetMetric(inception_features, kernel_distance, weights=_INCEPTION),
+    "fid": SetMetric(inception_features, frechet_distance, missing=_no_inception),
+    "kid": SetMetric(inception_features, kernel_distance, missing=_no_inception),
+    "efficientnet_fd": SetMetric(
+        efficientnet_features, frechet_distance, missing=missing_efficientnet
+    ),
+    "efficientnet_kd": SetMetric(
+        efficientnet_features, kernel_distance, missing=missing_efficientnet
+    ),
     "texture_energy": SetMetric(texture_features, energy_distance, standardised=True),
 }
 """Every distance of sets by its name in the rows; lower is better in all."""

@@ -3,6 +3,8 @@
 from importlib.util import find_spec
 from pathlib import Path
 
+from geoevs.core import efficientnet_weights
+
 UNAVAILABLE = "unavailable"
 """The status of rows whose metric needs weights that are not on the machine."""
 
@@ -22,3 +24,8 @@ def missing_weights(package: str, file: str) -> str:
 
     path = Path(torch.hub.get_dir()) / "checkpoints" / file
     return "" if path.is_file() else f"its weights are not on this machine ({path})"
+
+
+def missing_efficientnet() -> str:
+    """The same of EfficientNet-Lite0, whose weights lie in a package."""
+    return efficientnet_weights.missing()

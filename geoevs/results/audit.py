@@ -41,7 +41,7 @@ def audit_tables(
 
     That of entrants has their `name`, `paradigm`, `extra_prior` and `needs` too.
     """
-    makers = (agreement, support_bias, reference_errors, ceiling)
+    makers = (agreement, support_bias, reference_errors, ceiling, harm)
     tables = {make.__name__: make(rows, settings) for make in makers}
     gain = entrants.describe(conditioning_gain(rows, settings))
     return tables | {conditioning_gain.__name__: gain}
@@ -184,6 +184,24 @@ def ceiling(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
     """What the photos of recorded cameras themselves score, by camera (see the audit)."""
     rows = rows[(rows["part"] == "ceiling") & np.isfinite(rows["value"])]
     return _summary(rows, ["dataset", "metric", "target"], settings)
+
+
+def harm(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:
+    """What distances of pictures, and of sets of them, say of known harm (see the audit).
+
+    Args:
+        rows: the audit's rows.
+        settings: the config's `tables` section, of which nothing is needed.
+
+    Returns:
+        A row for every data set, metric, `harm` and `grade`, from slight to strong: the mean
+        `distance` over scenes, and the mean `floor`, the distance of one instant from another.
+    """
+    rows = rows[rows["part"] == "harm"].rename(
+        columns={"target": "harm", "share": "grade", "value": "distance", "dense": "floor"}
+    )
+    by = ["dataset", "metric", "harm", "grade"]
+    return rows.groupby(by, sort=False)[["distance", "floor"]].mean().reset_index()
 
 
 def conditioning_gain(rows: pd.DataFrame, settings: TableSettings) -> pd.DataFrame:

@@ -65,6 +65,7 @@ def _verdicts(tables: dict[str, pd.DataFrame]) -> list[str]:
         said += _support(tables["support_bias"])
         said += _wrong_pixels(tables["reference_errors"])
     said += _ceiling(tables["ceiling"])
+    said += _harm(tables["harm"])
     if len(tables["conditioning_gain"]):
         said += _gain(tables["conditioning_gain"])
     return said
@@ -131,6 +132,25 @@ def _ceiling(table: pd.DataFrame) -> list[str]:
         "**Noise ceiling.** Photos of recorded cameras score, against LiDAR that the other cameras "
         f"coloured, in dB: {cameras}. Where cameras overlap, expect no more of a method."
     ]
+
+
+def _harm(table: pd.DataFrame) -> list[str]:
+    """Which distances rise with every grade of every harm, and from which grade above the floor."""
+    rising, others, floors = [], [], []
+    for metric, rows in table.groupby("metric", sort=False):
+        graded = [group["distance"] for _, group in rows.groupby("harm", sort=False)]
+        rises = all((distance.diff()[1:] > 0).all() for distance in graded)
+        (rising if rises else others).append(metric)
+        beyond = rows[rows["distance"] > rows["floor"]].groupby("harm", sort=False).first()
+        grades = ", ".join(f"{harm} {grade:g}" for harm, grade in beyond["grade"].items())
+        floors.append(f"{metric} from {grades or 'no grade'} on")
+    if table.empty:
+        return []
+    said = (
+        f"**Harm.** With every grade of blur, noise and holes rise: {', '.join(rising) or 'none'}"
+    )
+    said += f"; do not: {', '.join(others)}" if others else ""
+    return [f"{said}. Beyond the distance of another instant are {'; '.join(floors)}."]
 
 
 def _gain(table: pd.DataFrame) -> list[str]:

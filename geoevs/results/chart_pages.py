@@ -33,7 +33,13 @@ ROOMS_ABOVE = np.arange(0.15, 3.0, 0.1)
 SUBTITLE_WIDTH = 55
 """Characters of a panel's subtitle in a line."""
 
-LINEAR_TO = {"fid": 1.0, "kid": 0.01, "texture_energy": 0.1}
+LINEAR_TO = {
+    "fid": 1.0,
+    "kid": 0.01,
+    "efficientnet_kd": 0.01,
+    "efficientnet_fd": 1.0,
+    "texture_energy": 0.1,
+}
 """Distances of sets span decades, so that they have logarithmic axes; unbiased ones may be
 negative, so that those are linear (Vega's symlog) up to this."""
 

@@ -30,10 +30,11 @@ shows views at the pace of `render_seconds`, whether it works in the fit or puts
 SPEED = "render_seconds"
 """The cost that charts of bins show."""
 
-ACCURACIES = ("sparse_psnr", "psnr", "psnr_removed", "lpips", "gms")
+ACCURACIES = ("sparse_psnr", "psnr", "psnr_removed", "lpips", "efficientnet_layers", "gms")
 """What charts of a table show of its metrics, where it has them."""
 
-WEIGHTED, WEIGHT_FREE = ("fid", "kid"), ("texture_energy",)
+WEIGHTED = ("fid", "kid", "efficientnet_kd", "efficientnet_fd")
+WEIGHT_FREE = ("texture_energy",)
 """Distances of sets of images; a table that has the first measured is charted with those alone."""
 
 SMALLEST = {

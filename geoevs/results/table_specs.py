@@ -16,6 +16,9 @@ from geoevs.results.views import VIEW
 DIGITS = 9
 """Decimals of a bin's column that count: angles of poses are off by 1e-14 degrees."""
 
+SET_COLUMNS = ("fid", "kid", "efficientnet_kd", "efficientnet_fd", "texture_energy")
+"""The distances of sets that tables of many views show."""
+
 
 @dataclass(frozen=True)
 class TableSpec:
@@ -53,20 +56,21 @@ TABLES = {
             "ssim",
             "gms",
             "lpips",
+            "efficientnet_layers",
         ),
-        set_metrics=("fid", "kid", "texture_energy"),
+        set_metrics=SET_COLUMNS,
     ),
     "interpolation": TableSpec(
         "Interpolation: the front camera from the front-side ones (paper table 5)",
         ("interpolation",),
-        ("ssim", "psnr", "lpips", "mae", "gms"),
-        set_metrics=("texture_energy",),
+        ("ssim", "psnr", "lpips", "mae", "gms", "efficientnet_layers"),
+        set_metrics=("efficientnet_kd", "efficientnet_fd", "texture_energy"),
     ),
     "observed": TableSpec(
         "Observed views, themselves among the sources (paper table 1)",
         ("observed",),
-        ("psnr", "ssim", "mae", "gms", "lpips"),
-        set_metrics=("fid", "kid", "texture_energy"),
+        ("psnr", "ssim", "mae", "gms", "lpips", "efficientnet_layers"),
+        set_metrics=SET_COLUMNS,
     ),
     "pose_offset": TableSpec(
         "By angle to the front camera, in degrees (paper table 2, bottom left)",

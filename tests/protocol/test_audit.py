@@ -7,6 +7,7 @@ from geoevs import layout
 from geoevs.core.files import write_arrays
 from geoevs.core.images import write_image
 from geoevs.methods.tiny import tiny_truth
+from geoevs.protocol import harm
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS, audit_rows
 from geoevs.protocol.entries import MethodEntry
 from geoevs.protocol.targets import write_targets
@@ -30,7 +31,9 @@ def rows(stage, tmp_path_factory):
             write_image(renders / f"{target.key}.png", picture)
         stage.seal(renders, {"all-cameras": {**FINE, "status": status}})
     entries = [MethodEntry(name) for name in ("perfect", "bright", "gone")]
-    return audit_rows(answers, entries, seed=0)
+    with pytest.MonkeyPatch.context() as patch:  # so that it is quick
+        patch.setattr(harm, "HARMS", {"holes": (harm.holes, (0.1, 0.4))})
+        return audit_rows(answers, entries, seed=0)
 
 
 def test_every_metric_stands_beside_its_twin(rows):
@@ -74,3 +77,15 @@ def test_a_method_that_reads_no_point_gains_nothing_by_them(rows):
     found = rows[rows["part"] == "conditioning"]
     bright = found[found["method"] == "bright"]
     assert np.abs(bright["value"] - bright["dense"]).max() < 0.5
+
+
+def test_distances_under_harm_stand_beside_their_floor(rows):
+    found = rows[rows["part"] == "harm"]
+    assert "texture_energy" in set(found["metric"])
+    for _, of_metric in found.groupby("metric"):
+        assert of_metric["share"].tolist() == [0.1, 0.4]
+        assert of_metric["value"].is_monotonic_increasing
+        assert of_metric["dense"].nunique() == 1
+        assert of_metric["value"].iloc[-1] > of_metric["dense"].iloc[-1]
+    assert (found["target"] == "holes").all()
+    assert (found["pixels"] == 6 * 48 * 72).all()

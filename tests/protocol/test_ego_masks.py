@@ -90,10 +90,11 @@ def test_its_pixels_count_in_no_score(masked, stage, tmp_path):
         stage.seal(renders, {"all-cameras": OK, "front-side": OK})
         entry = MethodEntry.parse(label, {}, 0)
         scores = score_method(entry, answers, [1.0, 0.5], "f")
-        sets = score_sets(entry, answers.run, "d", ["s"], 0.95)
+        protocol = {**stage.protocol, "reference_keep": [1.0]}
+        sets, views = score_sets(entry, answers.run, "d", ["s"], 0.95, protocol)
         rows[label] = [
             {name: value for name, value in row.items() if name != "method"}
-            for row in (*scores, *sets)
+            for row in (*scores, *sets, *views)
         ]
     assert len(rows["clean"]) > 50
     np.testing.assert_equal(rows["painted"], rows["clean"])

@@ -158,7 +158,7 @@ def test_ssim_stays_within_its_range(seed, support):
 
 def test_every_metric_declares_its_better_direction():
     worse_is_more = {name for name, spec in METRICS.items() if not spec.higher_is_better}
-    assert worse_is_more == {"sparse_mae", "sparse_rmse", "mae", "lpips"}
+    assert worse_is_more == {"sparse_mae", "sparse_rmse", "mae", "lpips", "efficientnet_layers"}
 
 
 def test_gradient_similarity_by_hand():

@@ -6,6 +6,7 @@ import pytest
 from scipy.linalg import sqrtm
 
 from geoevs.methods.tiny import write_tiny_scene
+from geoevs.protocol.harm import HARMS, distances, harmed
 from geoevs.protocol.metrics import GMS
 from geoevs.protocol.set_metrics import (
     SET_METRICS,
@@ -13,9 +14,8 @@ from geoevs.protocol.set_metrics import (
     frechet_distance,
     kernel_distance,
     real_floor,
-    standardise,
-    texture_features,
 )
+from geoevs.protocol.weights import missing_efficientnet
 
 TEXTURE = SET_METRICS["texture_energy"]
 
@@ -30,45 +30,25 @@ def photos(tmp_path_factory):
     return [np.clip(image + 0.5 * grain, 0, 1) for image in images]
 
 
-def blur(image, strength, rng):
-    return cv2.GaussianBlur(image, (0, 0), strength) if strength else image
+LEARNED = ("efficientnet_fd", "efficientnet_kd", "efficientnet_layers")
 
 
-def noise(image, strength, rng):
-    return np.clip(image + strength * rng.standard_normal(image.shape), 0, 1).astype(np.float32)
-
-
-def holes(image, strength, rng):
-    """Black squares of 6 pixels, over a share of the image."""
-    keep = rng.random((image.shape[0] // 6, image.shape[1] // 6)) >= strength
-    return image * np.kron(keep, np.ones((6, 6)))[..., None].astype(np.float32)
-
-
-GRADES = [
-    (blur, (0, 0.5, 1, 2, 4)),
-    (noise, (0, 0.02, 0.05, 0.1, 0.2)),
-    (holes, (0, 0.05, 0.1, 0.2, 0.4)),
-]
-
-
-@pytest.mark.parametrize(("harm", "grades"), GRADES)
-def test_weight_free_metrics_get_worse_with_every_grade_of_harm(photos, harm, grades):
-    true = np.array([texture_features(image) for image in photos])
-    frames = np.arange(len(photos)) // 2
-    similarities, distances = [], []
-    for strength in grades:
-        harmed = [harm(image, strength, np.random.default_rng(1)) for image in photos]
+@pytest.mark.parametrize("harm", HARMS)
+def test_distances_get_worse_with_every_grade_of_harm(photos, harm):
+    frames = np.arange(len(photos)) // 3
+    similarities, found = [1.0], [distances(photos, photos, frames)]
+    for grade in HARMS[harm][1]:
+        pictures = harmed(photos, harm, grade, 0)
         metric = GMS()
-        for preds, target in zip(harmed, photos, strict=True):
+        for preds, target in zip(pictures, photos, strict=True):
             metric.update(preds, target, np.ones(target.shape[:2], bool))
         similarities.append(metric.compute())
-        features = np.array([texture_features(image) for image in harmed])
-        pair = standardise(features, true), standardise(true, true)
-        distances.append(TEXTURE.distance(*pair, frames, 0.95).value)
-    assert similarities[0] == pytest.approx(1.0)
-    assert distances[0] == pytest.approx(0.0, abs=1e-9)
+        found.append(distances(pictures, photos, frames))
     assert (np.diff(similarities) < 0).all()
-    assert (np.diff(distances) > 0).all()
+    assert {"texture_energy", *(() if missing_efficientnet() else LEARNED)} <= found[0].keys()
+    for name, value in found[0].items():
+        assert value == pytest.approx(0.0, abs=1e-9), name
+        assert (np.diff([distance[name] for distance in found]) > 0).all(), name
 
 
 def test_frechet_distance_equals_the_matrix_square_root():

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from geoevs.protocol.audit import SHARES, SUPPORTS, TWINS
-from geoevs.results.audit import agreement, audit_tables, conditioning_gain, support_bias
+from geoevs.results.audit import agreement, audit_tables, conditioning_gain, harm, support_bias
 from geoevs.results.audit_chart import agreement_chart, support_chart
 from geoevs.results.audit_page import audit_markdown, write_audit
 from geoevs.results.chart_pages import page_png
@@ -97,7 +97,20 @@ def rows():
         made.append(row("ceiling", "", "sparse_psnr", frame, 31.0, np.nan) | {"target": "front"})
         for method, value in (("mean-colour", 12.0), ("a", 20.75)):
             made.append(row("conditioning", method, "sparse_psnr", frame, value, DENSE[method]))
+    for metric, values in (("x_kd", (0.01, 0.03)), ("x_fd", (9.0, 8.0))):
+        for grade, value in zip((1, 2), values, strict=True):
+            for scene, shift in (("s", -0.001), ("r", 0.001)):
+                made.append(row("harm", "", metric, 0, value + shift, 0.02, grade))
+                made[-1] |= {"scene": scene, "target": "blur"}
     return pd.DataFrame(made)
+
+
+def test_harm_is_a_mean_over_scenes_beside_its_floor(rows):
+    table = harm(rows, SETTINGS).set_index(["metric", "harm", "grade"])
+    assert table.loc[("x_kd", "blur", 2), "distance"] == pytest.approx(0.03)
+    assert table.loc[("x_fd", "blur", 1), "distance"] == pytest.approx(9.0)
+    assert (table["floor"] == 0.02).all()
+    assert len(table) == 4
 
 
 def test_the_page_says_what_the_tables_say(rows):
@@ -109,6 +122,8 @@ def test_the_page_says_what_the_tables_say(rows):
         "The truth itself scores 28.0 dB against the reference, 33.0 dB on",
         "in dB: front 31.0",
         "A gains 0.75 [0.75, 0.75] dB",
+        "With every grade of blur, noise and holes rise: x_kd; do not: x_fd. Beyond the distance "
+        "of another instant are x_kd from blur 2 on; x_fd from blur 1 on.",
     ):
         assert text in page
 

@@ -66,7 +66,9 @@ def honest(run, tmp_path_factory):
         write_json(folder / "render.json", dict.fromkeys(kinds, sealed))
         scores += score_method(entry, answers, KEEPS, fingerprint)
         costs += cost_rows(entry, answers)
-        sets += score_sets(entry, run, "d", ["s"], 0.95)
+        distances, views = score_sets(entry, run, "d", ["s"], 0.95, protocol)
+        sets += distances
+        scores += views
     rows = score_frame(scores), cost_frame(costs), set_frame(sets)
     for name, frame in zip((layout.SCORES, layout.COSTS, layout.SET_SCORES), rows, strict=True):
         write_parquet(run / name, frame)

@@ -71,7 +71,8 @@ def test_a_scene_is_sent_as_few_jobs(apart):
     of_scene, *of_entrants = sorted(
         (sorted(job["rule"] for job in group) for group in groups.values()), reverse=True
     )
-    assert of_scene == ["references", "scene", "scene_hash", "targets", "truth"]
+    of_a_scene = ["references", "scene", "scene_hash", "targets", "truth", "truth_features"]
+    assert of_scene == of_a_scene
     assert of_entrants == [["fit", "render", "score"]] * len(entrants)
     for group in groups.values():  # of one entrant
         assert len({job["wildcards"] for job in group}) == 1
@@ -192,8 +193,9 @@ def test_a_run_goes_on_when_the_process_that_sends_its_jobs_is_killed(apart):
     # What was done of an entrant is not sent again.
     entrant = ("fit render score", "render score", "score")
     others = set(sent.read_text().splitlines()).difference(entrant)
-    assert others == {"references scene targets truth", "score_sets"}
-    assert Counter(sent.read_text().splitlines())["references scene targets truth"] == 1
+    scene = "references scene targets truth truth_features"
+    assert others == {scene, "score_sets"}
+    assert Counter(sent.read_text().splitlines())[scene] == 1
     costs = pd.read_csv(apart.folder / tables[1])
     assert set(costs["n"]) == {1}
     assert costs["machines"].nunique() == 1

@@ -232,8 +232,11 @@ def test_distances_of_sets_fill_the_table_of_observed_views(smoke_run):
     copies, flat = (rows.loc[(name, "default")] for name in ("truth", "mean-colour"))
     assert copies["texture_energy"] == pytest.approx(0.0, abs=1e-6)
     assert flat["texture_energy"] > 10 * abs(flat["texture_energy_floor"])
+    learned = ["efficientnet_kd", "efficientnet_fd", "efficientnet_layers"]
+    assert copies[learned].to_numpy(float) == pytest.approx(0.0, abs=1e-6)
+    assert flat["efficientnet_kd"] > 10 * abs(flat["efficientnet_kd_floor"])
     ran = rows[rows["n"] > 0]
-    assert ran["texture_energy"].notna().all()
+    assert ran[["texture_energy", *learned]].notna().all(axis=None)
     assert ran["unmeasured"].str.contains("fid: ").all()
 
 

@@ -5,6 +5,7 @@ AUDIT_TABLES = (
     "support_bias",
     "reference_errors",
     "ceiling",
+    "harm",
     "conditioning_gain",
 )
 AUDIT_FILES = [

@@ -210,6 +210,16 @@ def every_result(pattern):
     ]
 
 
+def every_entrant(pattern):
+    """The pattern's paths for all entrants on all data sets."""
+    datasets = dict.fromkeys(dataset for dataset, _ in TEST_SCENES)
+    return [
+        in_run(pattern).format(dataset=dataset, label=label)
+        for dataset in datasets
+        for label in ENTRIES
+    ]
+
+
 def scene_of(wildcards):
     """A scene's source, its name there, and the source's options."""
     dataset = config["datasets"][wildcards.dataset]

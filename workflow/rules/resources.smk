@@ -16,6 +16,7 @@ STEPS = {
     "train": (2000, 40000, 40, 0),
     "fit": (2000, 20000, 100, 0),
     "score": (600, 5000, 10, 2),
+    "features": (1500, 5000, 10, 4),
 }
 # Steps that may run networks, and the MB that networks of published size take besides.
 NETWORKS = ("depth", "prepare", "train", "fit")

@@ -38,6 +38,7 @@ rule score:
 rule scores:
     input:
         every_result(layout.SCORE_PART),
+        every_entrant(layout.LEARNED_PART),
     output:
         in_run(layout.SCORES),
     log:
@@ -61,42 +62,70 @@ rule costs:
         COLLECT
 
 
-# Distances between all of an entrant's views of a data set and the truth.
+# What a network sees in true pictures: of every entrant's distances from them, the same half.
+rule truth_features:
+    input:
+        scene=in_run(layout.SCENE),
+        targets=in_run(layout.TARGETS),
+        truth=in_run(layout.TRUTH),
+    output:
+        temp(directory(in_run(layout.TRUTH_FEATURES))),
+    log:
+        in_run("logs/truth_features/{dataset}/{scene}.log"),
+    benchmark:
+        in_run("benchmarks/truth_features/{dataset}/{scene}.tsv")
+    group:
+        sent_as("scene")
+    resources:
+        mem_mb=memory("features"),
+        runtime=minutes("features"),
+    params:
+        run=lambda wildcards, output: Path(output[0]).parents[2],
+        code=code_hash("geoevs.protocol.set_scoring"),
+    shell:
+        "geoevs --log {log:q} truth-features --run {params.run:q} --dataset {wildcards.dataset:q}"
+        " --scene {wildcards.scene:q} --out {output:q}"
+
+
+# Distances between all of an entrant's views of a data set and the truth, and of each view what
+# shares their features.
 rule score_sets:
     input:
         scenes=lambda wildcards: of_dataset(layout.SCENE, wildcards.dataset),
         targets=lambda wildcards: of_dataset(layout.TARGETS, wildcards.dataset),
+        references=lambda wildcards: of_dataset(layout.REFERENCES, wildcards.dataset),
         truth=lambda wildcards: of_dataset(layout.TRUTH, wildcards.dataset),
+        features=lambda wildcards: of_dataset(layout.TRUTH_FEATURES, wildcards.dataset),
         renders=lambda wildcards: of_dataset(layout.RENDERS, wildcards.dataset),
     output:
-        in_run(layout.SET_SCORE_PART),
+        sets=in_run(layout.SET_SCORE_PART),
+        views=in_run(layout.LEARNED_PART),
     log:
         in_run("logs/score_sets/{dataset}/{label}.log"),
+    benchmark:
+        in_run("benchmarks/score_sets/{dataset}/{label}.tsv")
     resources:
-        mem_mb=memory("score", scenes_of_dataset),
-        runtime=minutes("score", scenes_of_dataset),
+        mem_mb=memory("features", scenes_of_dataset),
+        runtime=minutes("features", scenes_of_dataset),
     params:
         entry=entry_arguments,
-        run=lambda wildcards, output: Path(output[0]).parents[2],
+        run=lambda wildcards, output: Path(output.sets).parents[2],
         scenes=lambda wildcards, input: with_option(
             "--scenes", [Path(path).name for path in input.scenes]
         ),
         confidence=config["tables"]["confidence"],
+        protocol=PROTOCOL,
         renders=renders_code,
         code=code_hash("geoevs.protocol.set_scoring"),
     shell:
         "geoevs --log {log:q} score-sets {params.entry} --run {params.run:q}"
         " --dataset {wildcards.dataset:q} {params.scenes} --confidence {params.confidence}"
-        " --out {output:q}"
+        " --protocol {params.protocol:q} --out {output.sets:q} --views {output.views:q}"
 
 
 rule set_scores:
     input:
-        expand(
-            in_run(layout.SET_SCORE_PART),
-            dataset=list(dict.fromkeys(dataset for dataset, _ in TEST_SCENES)),
-            label=ENTRIES,
-        ),
+        every_entrant(layout.SET_SCORE_PART),
     output:
         in_run(layout.SET_SCORES),
     log:
