@@ -147,9 +147,7 @@ def _check_imports(config: Mapping[str, Any]) -> None:
     )
 
 
-def _check_poses(
-    config: Mapping[str, Any], origins: Sequence[Origin], keys: Sequence[Key]
-) -> None:
+def _check_poses(config: Mapping[str, Any], origins: Sequence[Origin], keys: Sequence[Key]) -> None:
     """Shifts, angles and levels name files, by the six digits that `g` writes of them."""
     for key in keys:
         values: Any = config

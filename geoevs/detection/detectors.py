@@ -44,7 +44,9 @@ def read_found(folder: Path) -> pd.DataFrame:
         GeoEvsError: they are missing, damaged, or no predictions.
     """
     if Outcome.read(folder).reason:
-        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in PREDICTION_TYPES.items()})
+        return pd.DataFrame(
+            {name: pd.Series(dtype=kind) for name, kind in PREDICTION_TYPES.items()}
+        )
     return read_predictions(folder / FOUND)
 
 

@@ -70,6 +70,9 @@ def _in_polygon(points: np.ndarray, corners: Sequence[np.ndarray]) -> np.ndarray
     start = np.asarray(corners[0])
     outline = np.asarray(corners - start, np.float32)
     return np.array(
-        [cv2.pointPolygonTest(outline, tuple(map(float, point - start)), False) >= 0 for point in points],
+        [
+            cv2.pointPolygonTest(outline, tuple(map(float, point - start)), False) >= 0
+            for point in points
+        ],
         bool,
     )

@@ -46,7 +46,10 @@ def detection_figure(
     labels, classes = scene.boxes(frame)
     truths = [(box, TRUTH_INK) for box in labels]
     rows = [
-        Row(name, _pictures(scene, frame, truths, _best(found, scene.name, frame, len(labels)), bounds))
+        Row(
+            name,
+            _pictures(scene, frame, truths, _best(found, scene.name, frame, len(labels)), bounds),
+        )
         for name, found in predictions.items()
     ]
     return draw_grid([*scene.store.cameras, "from above"], rows)
@@ -82,9 +85,7 @@ def _pictures(
     return [*pictures, from_above(truths, found, bounds, pictures[0].shape[:2])]
 
 
-def from_above(
-    truths: Inked, found: Inked, bounds: Bounds, shape: tuple[int, int]
-) -> np.ndarray:
+def from_above(truths: Inked, found: Inked, bounds: Bounds, shape: tuple[int, int]) -> np.ndarray:
     """(H, W, 3) uint8: boxes from above, the vehicle's heading upwards; fronts are marked."""
     picture = np.full((*shape, 3), ROAD, np.uint8)
     x, y = (np.array([bounds[axis], bounds[axis + 3]]) for axis in (0, 1))

@@ -203,9 +203,7 @@ def _mean_precision(
     return (seeds * np.stack(means, axis=1)).sum(axis=1) / seeds.sum(axis=1)
 
 
-def _ends(
-    name: str, values: np.ndarray | None, settings: TableSettings | None
-) -> dict[str, float]:
+def _ends(name: str, values: np.ndarray | None, settings: TableSettings | None) -> dict[str, float]:
     """The ends of an interval of redrawn values, NaN where there are none."""
     known = np.zeros(0) if values is None or settings is None else values[1:]
     known = known[~np.isnan(known)]
@@ -242,9 +240,7 @@ def _about(
     return row | {"failed": failed, "note": "; ".join(notes)}
 
 
-def about_entrant(
-    method: str, variant: str, entrants: Entrants
-) -> tuple[dict[str, str], str]:
+def about_entrant(method: str, variant: str, entrants: Entrants) -> tuple[dict[str, str], str]:
     """`name`, `group`, `method`, `variant` and `needs` of who rendered, and what to note of it.
 
     Boxes are the labels, so that nobody was given them.
