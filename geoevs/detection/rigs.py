@@ -4,6 +4,7 @@ them; and what it is to find there."""
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -33,9 +34,14 @@ class DetectionScene:
     Args:
         run: the run's folder.
         dataset, scene: by their names in the config.
+        resolution: height and width of the pictures that detectors see, resized whole; None: as
+            they were rendered.
     """
 
-    def __init__(self, run: Path, dataset: str, scene: str) -> None:
+    def __init__(
+        self, run: Path, dataset: str, scene: str, resolution: Sequence[int] | None = None
+    ) -> None:
+        self._resolution = resolution
         self._run, self._place = Path(run), {"dataset": dataset, "scene": scene}
         self.name = scene_name(dataset, scene)
         self.store = Scene(self._path(layout.SCENE))
@@ -152,6 +158,13 @@ class DetectionScene:
     ) -> RigFrame:
         pose = self.vehicle_pose(frame, offset)
         boxes, classes = self.boxes(frame, offset)
+        if self._resolution is not None:
+            height, width = self._resolution
+            cameras = [camera.resized(height, width) for camera in cameras]
+            pictures = [
+                cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+                for picture in pictures
+            ]
         return RigFrame(
             scene=self.name,
             frame=frame,
