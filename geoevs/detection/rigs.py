@@ -1,5 +1,6 @@
 """What a detector sees of a frame: recorded pictures, and those of an entrant where a setting has
-them; and what it is to find there."""
+them; and what it is to find there.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,6 @@
 """What detectors see and find in a frame: recorded views with boxes, and the scene from above."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,7 +10,6 @@ from geoevs.core.images import to_uint8
 from geoevs.detection.labels import Bounds
 from geoevs.detection.rigs import DetectionScene
 from geoevs.detection.rows import BOX
-from geoevs.detection.rules import CLASSES
 from geoevs.detection.task_metrics import box_corners, edges_before, image_from_vehicle
 from geoevs.results.figures import Row, draw_grid
 

@@ -113,7 +113,7 @@ def test_missing_pictures_are_one_sentence(run, scene):
 
 def test_where_nobody_knows_the_truth_it_is_one_sentence(run, scene, monkeypatch):
     monkeypatch.setattr(layout, "DETECTION_TRUTH", "nowhere/{dataset}/{scene}")
-    with pytest.raises(GeoEvsError, match="nobody knows what a camera at .* would see"):
+    with pytest.raises(GeoEvsError, match=r"nobody knows what a camera at .* would see"):
         list(scene.frames("with-truth"))
 
 

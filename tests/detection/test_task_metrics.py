@@ -35,8 +35,8 @@ def test_a_box_straight_ahead_by_hand():
     # Its near face stands 10 m away: 1 m to each side, 0.5 m up and down.
     across, down = FOCAL / 10, FOCAL * 0.5 / 10
     middle = np.array([WIDTH / 2, HEIGHT / 2])
-    np.testing.assert_allclose(found[:2], middle - (across, down))
-    np.testing.assert_allclose(found[2:], middle + (across, down))
+    np.testing.assert_allclose(found[:2], middle - np.array([across, down]))
+    np.testing.assert_allclose(found[2:], middle + np.array([across, down]))
 
 
 def test_boxes_are_cut_at_the_image_and_before_the_camera():
