@@ -37,7 +37,8 @@ def count_setting(
     """Rows of SETTING_COUNT_TYPES of a detector, over all frames of the test scenes.
 
     Args:
-        setting, seed: which detector.
+        setting: of the detector.
+        seed: its own.
         scenes: that it was tested on.
         predictions: rows of PREDICTION_TYPES.
     """
@@ -66,13 +67,9 @@ def _in_zones(scene: DetectionScene, predictions: pd.DataFrame) -> np.ndarray:
 
 
 def _in_polygon(points: np.ndarray, corners: Sequence[np.ndarray]) -> np.ndarray:
-    """(N,) bool: points (N, 2) in a polygon, relative to its first corner, as OpenCV has float32."""
+    """(N,) bool: points (N, 2) in a polygon; from its first corner, as OpenCV has float32."""
     start = np.asarray(corners[0])
     outline = np.asarray(corners - start, np.float32)
-    return np.array(
-        [
-            cv2.pointPolygonTest(outline, tuple(map(float, point - start)), False) >= 0
-            for point in points
-        ],
-        bool,
-    )
+    points = points - start
+    inside = [cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0 for x, y in points]
+    return np.array(inside, bool)

@@ -41,7 +41,7 @@ def detection_figure(
         predictions: rows of PREDICTION_TYPES by setting; all frames of all scenes.
         bounds: what is shown from above.
     """
-    labels, classes = scene.boxes(frame)
+    labels, _ = scene.boxes(frame)
     truths = [(box, TRUTH_INK) for box in labels]
     rows = [
         Row(

@@ -15,7 +15,7 @@ from geoevs.results.report.sentences import METRIC_NAMES
 
 
 def summarise_suites(run: Path) -> list[str]:
-    """Sentences about when to trust sparse PSNR, which method breaks first, and who helps detectors.
+    """Sentences about when to trust sparse PSNR, who breaks first, and whose views help detectors.
 
     Raises:
         GeoEvsError: a table that is there is damaged.
@@ -102,7 +102,8 @@ def _detection(table: pd.DataFrame, task: pd.DataFrame) -> Iterator[str]:
     rows = table.set_index("setting")
     native = rows.loc[NATIVE]
     if native["failed"]:
-        yield f"No detector of the recorded views could be trained: {native['note']}; see Detection."
+        reason = native["note"]
+        yield f"No detector of the recorded views could be trained: {reason}; see Detection."
         return
     blind = rows.loc[BLIND]
     floor = "" if blind["failed"] else f", {blind['let_mapl']:.1f} if it sees grey pictures alone"
@@ -116,9 +117,9 @@ def _detection(table: pd.DataFrame, task: pd.DataFrame) -> Iterator[str]:
         low, high = (row[f"let_mapl_gain_{end}"] for end in ("low", "high"))
         chance = "more than chance" if low > 0 or high < 0 else "no more than chance"
         chance = "without an interval" if math.isnan(low) else chance
+        who, more = row["name"].removeprefix("recorded + "), row["views"] - native["views"]
         yield (
-            f"With {row['name'].removeprefix('recorded + ')} in {row['views'] - native['views']:.0f} "
-            f"more views it changes by {_between(row, 'let_mapl_gain', '+')}: {chance}."
+            f"With {who} in {more:.0f} more views it changes by {_between(row, 'let_mapl_gain', '+')}: {chance}."
         )
     yield from _moved(task)
 
