@@ -1,26 +1,29 @@
 """Table 3 as commands: labels, generated views, detectors, what they find, and tables of it."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from geoevs import layout
 from geoevs.cli.arguments import (
     Attempt,
-    Dataset,
     EntrantsFile,
     FitLimit,
     Out,
     RenderLimit,
     Run,
     SceneFolder,
-    SceneInRun,
     TablesSection,
+    Work,
     parse_json,
     scene_pairs,
     table_settings,
 )
+
+if TYPE_CHECKING:
+    from geoevs.detection.rigs import DetectionScene
+    from geoevs.detection.settings import DetectionSettings
 
 Section = Annotated[str, typer.Option(help="The config's detection section, as JSON.")]
 Scenes = Annotated[list[str], typer.Option(help="DATASET/SCENE; repeat for more.")]
@@ -35,7 +38,9 @@ def register(app: typer.Typer) -> None:
         detection_labels,
         detection_targets,
         detection_views,
-        detection_count,
+        detection_backbone,
+        detection_train,
+        detection_find,
         task_offsets,
         detection_tables,
         detection_figure,
@@ -52,10 +57,9 @@ def detection_labels(
     """List a scene's boxes in the vehicle's frame: which of them count, or why not."""
     from geoevs.core.parquet import write_parquet
     from geoevs.detection.labels import scene_labels
-    from geoevs.detection.settings import DetectionSettings
     from geoevs.scenes.store import Scene
 
-    asked = DetectionSettings.parse(parse_json("--settings", settings))
+    asked = _settings(settings)
     write_parquet(out, scene_labels(Scene(scene), name, asked.classes, asked.detector.range))
 
 
@@ -67,12 +71,11 @@ def detection_targets(
     moved: Annotated[bool, typer.Option("--moved", help="The rig moved aside, too.")] = False,
 ) -> None:
     """List the views that detectors are shown, and write the store that methods are given."""
-    from geoevs.detection.settings import DetectionSettings
     from geoevs.detection.views import moved_rig, views_between, write_without_boxes
     from geoevs.protocol.targets import write_targets
     from geoevs.scenes.store import Scene
 
-    store, asked = Scene(scene), DetectionSettings.parse(parse_json("--settings", settings))
+    store, asked = Scene(scene), _settings(settings)
     views = views_between(store, asked.views)
     write_targets(out, [*views, *(moved_rig(store, asked.offsets) if moved else [])])
     write_without_boxes(given, store)
@@ -102,22 +105,63 @@ def detection_views(
     render_views(entry, scene, targets, model, out, (fit_log, render_log), limits, attempt)
 
 
-def detection_count(
+def detection_backbone(
+    run: Run, scenes: Scenes, settings: Section, seed: Seed, work: Work, out: Out
+) -> None:
+    """Train what turns pictures into features, which detectors of all settings share."""
+    from geoevs.detection.detectors import train_backbone
+
+    asked = _settings(settings)
+    train_backbone(_scenes(run, scenes), asked, seed, work, out)
+
+
+def detection_train(
+    run: Run,
+    scenes: Scenes,
+    setting: Setting,
+    settings: Section,
+    seed: Seed,
+    work: Work,
+    out: Out,
+) -> None:
+    """Train a detector in one setting; a failure is written down."""
+    from geoevs.detection.detectors import train_setting
+
+    asked = _settings(settings)
+    backbone = run / layout.DETECTION_BACKBONE.format(seed=seed)
+    train_setting(_scenes(run, scenes), setting, asked, seed, backbone, work, out)
+
+
+def detection_find(
     run: Run,
     scenes: Scenes,
     setting: Setting,
     seed: Seed,
+    counts: Annotated[Path, typer.Option(help="Where rows of counts go.")],
     out: Out,
 ) -> None:
-    """Count what a detector found in the test scenes, by all rules."""
+    """Run a detector on the test scenes, and count what it found by all rules."""
     from geoevs.core.parquet import write_parquet
-    from geoevs.detection.detectors import read_found
-    from geoevs.detection.rigs import DetectionScene
+    from geoevs.detection.detectors import find_setting, read_found
     from geoevs.detection.setting_counts import count_setting
 
-    found = read_found(run / layout.PREDICTIONS.format(setting=setting, seed=seed))
-    tested = (DetectionScene(run, *pair) for pair in scene_pairs(scenes))
-    write_parquet(out, count_setting(setting, seed, tested, found))
+    tested = _scenes(run, scenes)
+    detector = run / layout.DETECTOR.format(setting=setting, seed=seed)
+    find_setting(tested, setting, detector, out)
+    rows = count_setting(setting, seed, tested, read_found(out))
+    write_parquet(counts, rows)
+
+
+def _settings(text: str) -> "DetectionSettings":
+    from geoevs.detection.settings import DetectionSettings
+
+    return DetectionSettings.parse(parse_json("--settings", text))
+
+
+def _scenes(run: Path, scenes: list[str]) -> "list[DetectionScene]":
+    from geoevs.detection.rigs import DetectionScene
+
+    return [DetectionScene(run, *pair) for pair in scene_pairs(scenes)]
 
 
 def task_offsets(
@@ -131,12 +175,10 @@ def task_offsets(
     """Run the detectors of the recorded views on a rig that moved aside."""
     from geoevs.core.parquet import write_parquet
     from geoevs.detection.detectors import detectors_of, find
-    from geoevs.detection.rigs import DetectionScene
-    from geoevs.detection.settings import DetectionSettings
     from geoevs.detection.task_rows import task_rows
 
-    asked = DetectionSettings.parse(parse_json("--settings", settings))
-    tested = [DetectionScene(run, *pair) for pair in scene_pairs(scenes)]
+    asked = _settings(settings)
+    tested = _scenes(run, scenes)
     write_parquet(out, task_rows(label, tested, asked.offsets, detectors_of(run, seeds), find))
 
 
@@ -176,8 +218,7 @@ def _entries(labels: str) -> dict[str, tuple[str, str]]:
 
 def detection_figure(
     run: Run,
-    dataset: Dataset,
-    scene: SceneInRun,
+    scenes: Scenes,
     settings: Section,
     labels: Labels,
     seed: Seed,
@@ -186,13 +227,10 @@ def detection_figure(
     """Draw what detectors of every setting find in the first frame of a test scene."""
     from geoevs.core.images import write_image
     from geoevs.detection.detectors import found_by
-    from geoevs.detection.rigs import DetectionScene
-    from geoevs.detection.settings import DetectionSettings
     from geoevs.detection.training_settings import settings_with
     from geoevs.results.detection_figure import detection_figure as draw
 
-    shown = DetectionScene(run, dataset, scene)
-    asked = DetectionSettings.parse(parse_json("--settings", settings))
+    asked = _settings(settings)
+    shown = _scenes(run, scenes)[0]
     found = found_by(run, settings_with(list(_entries(labels))), seed)
-    picture = draw(shown, shown.store.frames[0], found, asked.detector.range)
-    write_image(out, picture)
+    write_image(out, draw(shown, shown.store.frames[0], found, asked.detector.range))

@@ -66,3 +66,85 @@ def detectors_of(run: Path, seeds: Sequence[int]) -> dict[int, Path | str]:
     """By seed, the folder of the detector of the recorded views, or why there is none."""
     folders = {seed: run / layout.DETECTOR.format(setting=NATIVE, seed=seed) for seed in seeds}
     return {seed: Outcome.read(folder).reason or folder for seed, folder in folders.items()}
+
+
+BACKBONE, WEIGHTS = "backbone.safetensors", "detector.safetensors"
+"""Networks, in the folders of a backbone and of a detector."""
+
+
+def train_backbone(
+    scenes: Sequence[DetectionScene], settings: DetectionSettings, seed: int, work: Path, out: Path
+) -> None:
+    """Train what turns pictures into features, on the recorded views of scenes.
+
+    Detectors of all settings share it, so that they differ in their pictures alone.
+
+    Args:
+        scenes: to learn from.
+        settings: the config's section.
+        seed: of the detectors that will take it.
+        work: holds what a killed training needs to go on.
+        out: the folder to write, whole or not at all; BACKBONE lies in it.
+    """
+    from geoevs.detection.bevformer import features
+
+    _check_labels(scenes)
+    frames = frames_of(scenes, NATIVE, settings.detector)
+    with new_folder(out) as partial:
+        features.train_backbone(
+            frames, settings.detector, settings.training, seed, work, partial / BACKBONE
+        )
+
+
+def train_setting(
+    scenes: Sequence[DetectionScene],
+    setting: str,
+    settings: DetectionSettings,
+    seed: int,
+    backbone: Path,
+    work: Path,
+    out: Path,
+) -> None:
+    """Train a detector in one setting; what it could not be trained for is written down.
+
+    Args:
+        scenes: to learn from.
+        setting: of `settings_with`.
+        settings: the config's section.
+        seed: of the detector.
+        backbone: the folder of `train_backbone`.
+        work: holds what a killed training needs to go on.
+        out: the folder to write, whole or not at all: Outcome, and WEIGHTS if all went well.
+    """
+    from geoevs.detection.bevformer import features, training
+
+    fitting, detector = fitting_of(setting, settings), settings.detector
+    weights = backbone / BACKBONE
+    with new_folder(out) as partial:
+        try:
+            _check_labels(scenes)
+            frames = frames_of(scenes, setting, detector)
+            if not fitting.sees_pictures:
+                frames = features.cache_features(frames, weights, work)
+            began = time.monotonic()
+            training.train(
+                frames, weights, detector, fitting, seed, work, partial / WEIGHTS
+            )
+            outcome = Outcome(
+                views=len(frames[0].recorded),
+                frames=len(frames),
+                training_seconds=time.monotonic() - began,
+            )
+        except GeoEvsError as failure:
+            outcome = Outcome(reason=str(failure))
+        outcome.write(partial)
+
+
+def fitting_of(setting: str, settings: DetectionSettings) -> Fitting:
+    """How a detector learns in a setting."""
+    fitting = settings.training
+    if setting == LONGER:
+        return dataclasses.replace(fitting, steps=round(settings.longer * fitting.steps))
+    if setting == AUGMENTED:
+        return dataclasses.replace(fitting, flip=True, jitter=True)
+    return fitting

@@ -5,7 +5,6 @@ them; and what it is to find there.
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 
@@ -35,14 +34,9 @@ class DetectionScene:
     Args:
         run: the run's folder.
         dataset, scene: by their names in the config.
-        resolution: height and width of the pictures that detectors see, resized whole; None: as
-            they were rendered.
     """
 
-    def __init__(
-        self, run: Path, dataset: str, scene: str, resolution: Sequence[int] | None = None
-    ) -> None:
-        self._resolution = resolution
+    def __init__(self, run: Path, dataset: str, scene: str) -> None:
         self._run, self._place = Path(run), {"dataset": dataset, "scene": scene}
         self.name = scene_name(dataset, scene)
         self.store = Scene(self._path(layout.SCENE))
@@ -159,13 +153,6 @@ class DetectionScene:
     ) -> RigFrame:
         pose = self.vehicle_pose(frame, offset)
         boxes, classes = self.boxes(frame, offset)
-        if self._resolution is not None:
-            height, width = self._resolution
-            cameras = [camera.resized(height, width) for camera in cameras]
-            pictures = [
-                cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-                for picture in pictures
-            ]
         return RigFrame(
             scene=self.name,
             frame=frame,

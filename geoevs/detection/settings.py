@@ -9,8 +9,6 @@ from geoevs.detection.bevformer.settings import Detector, Fitting
 from geoevs.detection.rules import ROAD_USERS
 from geoevs.detection.views import Shift, ViewSettings
 
-Pixels = Annotated[int, Within(16, 8192)]
-
 CLASSES = {
     "vehicle": (
         *("car", "vehicle"),  # street, Waymo
@@ -39,7 +37,6 @@ class DetectionSettings:
     """What `snakemake detection` makes.
 
     Args:
-        resolution: height and width that detectors see; null: the run's.
         views: the generated ones between recorded cameras.
         offsets: of the rig in the task metrics, metres across the ego heading, left positive.
         classes: labels of the data sources, by class; all other labels are of no class.
@@ -51,7 +48,6 @@ class DetectionSettings:
             one out.
     """
 
-    resolution: tuple[Pixels, Pixels] | None = None
     views: ViewSettings = field(default_factory=ViewSettings)
     offsets: tuple[Shift, ...] = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
     classes: dict[Annotated[str, OneOf(ROAD_USERS)], tuple[str, ...]] = field(

@@ -44,7 +44,6 @@ def test_the_default_config_is_allowed_and_says_what_the_settings_are():
         (section(views={"shares": [0.5, 0.5000001]}), "differ in their first six digits"),
         (section(offsets=[0.0, 1.0]), "shown anyway; remove the offset 0"),
         (section(offsets=[1.0, 1.0]), "has something twice; remove the repeats"),
-        (section(resolution=[64]), "option 'resolution'; write a list of 2"),
         (section(seeds=0), "cannot have 0 for its option 'seeds'"),
         (section(classes={"vehicles": ["car"]}), "did you mean 'vehicle'?"),
         (

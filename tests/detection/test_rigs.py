@@ -182,16 +182,5 @@ def test_an_entrant_that_failed_somewhere_has_rows_with_its_reason(run, scene):
     assert rows["reason"].str.contains("render.json is missing").all()
 
 
-def test_smaller_pictures_show_the_same(run, scene):
-    whole = next(scene.frames("with-truth"))
-    small = next(DetectionScene(run, "d", "tiny", (24, 36)).frames("with-truth"))
-    assert small.images.shape == (23, 24, 36, 3)
-    np.testing.assert_allclose(
-        small.images[0], whole.images[0].reshape(24, 2, 36, 2, 3).mean(axis=(1, 3)), atol=1e-6
-    )
-    halved = np.diag([0.5, 0.5, 1.0]) @ whole.image_from_vehicle
-    np.testing.assert_allclose(small.image_from_vehicle, halved, atol=1e-9)
-
-
 def test_let_metrics_look_from_the_cameras_mean_place(scene):
     np.testing.assert_allclose(scene.sensor(), [0, 0, 2.0], atol=1e-12)

@@ -2,8 +2,10 @@
 # Boxes are the labels: methods are given stores without any. Nothing here is timed alone, so jobs run
 # side by side.
 
+import re
+
 from geoevs.detection.task_rows import RECORDED
-from geoevs.detection.training_settings import settings_with, views_label
+from geoevs.detection.training_settings import NATIVE, settings_with, views_label
 from geoevs.protocol.entries import TRUTH
 
 DETECTION = config["detection"]
@@ -53,6 +55,16 @@ def pictures_of(label, scenes):
     return of_detection(layout.DETECTION_VIEWS.replace("{label}", label), scenes)
 
 
+def detection_scenes(wildcards):
+    """The (dataset, scene) pairs that detectors learn from, which take the most memory."""
+    return DETECTION_TRAIN
+
+
+def run_of(pattern):
+    """A function for params: the run's folder, which an output of this pattern lies in."""
+    return lambda wildcards, output: Path(output[0]).parents[pattern.count("/")]
+
+
 def shown_to(scenes):
     """A function for inputs: all that detectors of a setting see of some scenes."""
     return lambda wildcards: [
@@ -61,6 +73,10 @@ def shown_to(scenes):
         *of_detection(layout.DETECTION_TARGETS, scenes),
         *pictures_of(views_label(wildcards.setting), scenes),
     ]
+
+
+wildcard_constraints:
+    setting="|".join(map(re.escape, SETTINGS)),
 
 
 rule detection_targets:
@@ -151,9 +167,199 @@ rule detection_views:
         outside=lambda wildcards: outside_files(**wildcards),
         attempt=attempt(layout.DETECTION_VIEWS, "render.json"),
         told=lambda wildcards, output: attempt_of(output.views, ["render.json"]),
-        code=lambda wildcards: [method_code(step)(wildcards) for step in ("fit", "render")],
+        code=lambda wildcards: [
+            method_code(step)(wildcards) for step in ("fit", "render")
+        ],
     shell:
         "geoevs --log {log[0]:q} detection-views {params.entry} --options {params.options:q}"
         " --scene {input.scene:q} --targets {input.targets:q} --model {output.model:q}"
         " --fit-log {log.fit:q} --render-log {log.render:q} --attempt {params.told}"
         " --out {output.views:q}"
+
+
+rule detection_backbone:
+    input:
+        of_detection(layout.SCENE, DETECTION_TRAIN),
+        of_detection(layout.DETECTION_LABELS, DETECTION_TRAIN),
+    output:
+        directory(in_run(layout.DETECTION_BACKBONE)),
+    log:
+        in_run("logs/detection/backbone.seed{seed}.log"),
+    benchmark:
+        in_run("benchmarks/detection/backbone.seed{seed}.tsv")
+    resources:
+        mem_mb=memory("train", detection_scenes),
+        runtime=within("training"),
+        gpu=GPU,
+    params:
+        run=run_of(layout.DETECTION_BACKBONE),
+        scenes=scene_list(DETECTION_TRAIN),
+        settings=detection_section("detector", "training"),
+        work=in_run(layout.TRAINING).format(network="detection/backbone.seed{seed}"),
+        code=code_hash("geoevs.detection.detectors:train_backbone"),
+    shell:
+        "geoevs --log {log:q} detection-backbone --run {params.run:q} {params.scenes}"
+        " --settings {params.settings:q} --seed {wildcards.seed} --work {params.work:q}"
+        " --out {output:q}"
+
+
+rule detection_train:
+    input:
+        shown_to(DETECTION_TRAIN),
+        backbone=in_run(layout.DETECTION_BACKBONE),
+    output:
+        directory(in_run(layout.DETECTOR)),
+    log:
+        in_run("logs/detection/train/{setting}.seed{seed}.log"),
+    benchmark:
+        in_run("benchmarks/detection/train/{setting}.seed{seed}.tsv")
+    resources:
+        mem_mb=memory("train", detection_scenes),
+        runtime=within("training"),
+        gpu=GPU,
+    params:
+        run=run_of(layout.DETECTOR),
+        scenes=scene_list(DETECTION_TRAIN),
+        settings=detection_section("detector", "training", "longer"),
+        work=in_run(layout.TRAINING).format(network="detection/{setting}.seed{seed}"),
+        code=code_hash("geoevs.detection.detectors:train_setting"),
+    shell:
+        "geoevs --log {log:q} detection-train --run {params.run:q} {params.scenes}"
+        " --setting {wildcards.setting:q} --settings {params.settings:q} --seed {wildcards.seed}"
+        " --work {params.work:q} --out {output:q}"
+
+
+rule detection_find:
+    input:
+        shown_to(DETECTION_TEST),
+        detector=in_run(layout.DETECTOR),
+    output:
+        found=directory(in_run(layout.PREDICTIONS)),
+        counts=in_run(layout.DETECTION_COUNT_PART),
+    log:
+        in_run("logs/detection/find/{setting}.seed{seed}.log"),
+    resources:
+        mem_mb=memory("train", detection_scenes),
+        runtime=within("render"),
+        gpu=GPU,
+    params:
+        run=run_of(layout.PREDICTIONS),
+        scenes=scene_list(DETECTION_TEST),
+        code=code_hash(
+            "geoevs.detection.detectors:find_setting",
+            "geoevs.detection.setting_counts",
+        ),
+    shell:
+        "geoevs --log {log:q} detection-find --run {params.run:q} {params.scenes}"
+        " --setting {wildcards.setting:q} --seed {wildcards.seed}"
+        " --counts {output.counts:q} --out {output.found:q}"
+
+
+rule detection_counts:
+    input:
+        expand(
+            in_run(layout.DETECTION_COUNT_PART),
+            setting=SETTINGS,
+            seed=DETECTION_SEEDS,
+        ),
+    output:
+        in_run(layout.DETECTION_COUNTS),
+    log:
+        in_run("logs/detection/counts.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
+    shell:
+        COLLECT
+
+
+rule task_offsets:
+    input:
+        of_detection(layout.SCENE, DETECTION_TEST),
+        of_detection(layout.DETECTION_LABELS, DETECTION_TEST),
+        of_detection(layout.DETECTION_TARGETS, DETECTION_TEST),
+        lambda wildcards: pictures_of(wildcards.label, DETECTION_TEST),
+        expand(in_run(layout.DETECTOR), setting=NATIVE, seed=DETECTION_SEEDS),
+    output:
+        in_run(layout.TASK_PART),
+    log:
+        in_run("logs/detection/offsets/{label}.log"),
+    resources:
+        mem_mb=memory("train", detection_scenes),
+        runtime=within("render"),
+        gpu=GPU,
+    params:
+        run=run_of(layout.TASK_PART),
+        scenes=scene_list(DETECTION_TEST),
+        seeds=with_option("--seeds", DETECTION_SEEDS),
+        settings=detection_section("offsets"),
+        code=code_hash("geoevs.detection.detectors:find", "geoevs.detection.task_rows"),
+    shell:
+        "geoevs --log {log:q} task-offsets --run {params.run:q} {params.scenes}"
+        " --label {wildcards.label:q} --settings {params.settings:q} {params.seeds}"
+        " --out {output:q}"
+
+
+rule task_rows:
+    input:
+        expand(in_run(layout.TASK_PART), label=[RECORDED, *DETECTION_ENTRIES]),
+    output:
+        in_run(layout.TASK_ROWS),
+    log:
+        in_run("logs/detection/offsets.log"),
+    params:
+        code=code_hash("geoevs.core.parquet"),
+    shell:
+        COLLECT
+
+
+rule detection_tables:
+    input:
+        expand(in_run(layout.PREDICTIONS), setting=SETTINGS, seed=DETECTION_SEEDS),
+        counts=in_run(layout.DETECTION_COUNTS),
+        offsets=in_run(layout.TASK_ROWS),
+        entrants=in_run(layout.ENTRANTS),
+    output:
+        DETECTION_FILES,
+    log:
+        in_run("logs/detection/tables.log"),
+    params:
+        run=lambda wildcards, input: Path(input.counts).parents[1],
+        settings=json.dumps(config["tables"]),
+        labels=DETECTION_LABELS_OF,
+        seeds=with_option("--seeds", DETECTION_SEEDS),
+        code=code_hash(
+            "geoevs.results.detection_page",
+            "geoevs.results.detection_chart",
+            "geoevs.results.task_offsets",
+        ),
+    shell:
+        "geoevs --log {log:q} detection-tables --run {params.run:q} --settings {params.settings:q}"
+        " --labels {params.labels:q} {params.seeds} --entrants {input.entrants:q}"
+
+
+rule detection_figure:
+    input:
+        of_detection(layout.SCENE, DETECTION_TEST[:1]),
+        of_detection(layout.DETECTION_LABELS, DETECTION_TEST[:1]),
+        expand(in_run(layout.PREDICTIONS), setting=SETTINGS, seed=DETECTION_SEEDS[0]),
+    output:
+        in_run(layout.DETECTION_FIGURE),
+    log:
+        in_run("logs/detection/figure.log"),
+    params:
+        run=lambda wildcards, output: Path(output[0]).parents[1],
+        scene=scene_list(DETECTION_TEST[:1]),
+        settings=detection_section("detector"),
+        labels=DETECTION_LABELS_OF,
+        seed=DETECTION_SEEDS[0],
+        code=code_hash("geoevs.results.detection_figure"),
+    shell:
+        "geoevs --log {log:q} detection-figure --run {params.run:q} {params.scene}"
+        " --settings {params.settings:q} --labels {params.labels:q} --seed {params.seed}"
+        " --out {output:q}"
+
+
+rule detection:
+    input:
+        DETECTION_FILES if DETECTION_TEST else [],
+        [in_run(layout.DETECTION_FIGURE)] if DETECTION_TEST else [],

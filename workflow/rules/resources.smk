@@ -50,6 +50,9 @@ localrules:
     audit_page,
     stability_tables,
     stability_chart,
+    detection_counts,
+    task_rows,
+    detection_tables,
     install_weights,
 
 
