@@ -27,14 +27,14 @@ def scene(tmp_path_factory):
 
 
 def with_boxes(scene, *boxes):
-    """The scene with other boxes in frame 0: (track, label, x, y, z, length, width, height, yaw)."""
+    """The scene with other boxes in frame 0, each from its track to its yaw."""
     rows = [(0, *box, False) for box in boxes]
     scene.__dict__["tracks"] = pd.DataFrame(rows, columns=list(TRACK_COLUMNS))
     return scene
 
 
 def car(track="c", label="car", x=0.0, y=0.0, yaw=0.0):
-    centre = CAR.mean(axis=0) + (x, y, 0)
+    centre = CAR.mean(axis=0) + np.array([x, y, 0])
     return (track, label, *centre, *SIZE, yaw)
 
 

@@ -54,7 +54,7 @@ def test_a_view_by_hand(five):
     targets = {target.camera.name: target for target in views_between(five, ViewSettings())}
     target = targets["front_left-side_left-0.5+1m"]
     middle = (np.array(MOUNTS["front_left"][1]) + np.array(MOUNTS["side_left"][1])) / 2
-    np.testing.assert_allclose(target.camera.centre, middle + (0, 1, 0), atol=1e-12)
+    np.testing.assert_allclose(target.camera.centre, middle + np.array([0, 1, 0]), atol=1e-12)
     assert target.camera.yaw == pytest.approx(67.5)
     assert (target.split, target.lateral_shift) == ("detection", 1.0)
     assert target.pose_offset == pytest.approx(67.5)
