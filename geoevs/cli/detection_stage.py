@@ -106,13 +106,18 @@ def detection_views(
 
 
 def detection_backbone(
-    run: Run, scenes: Scenes, settings: Section, seed: Seed, work: Work, out: Out
+    run: Run,
+    scenes: Scenes,
+    settings: Section,
+    seed: Seed,
+    weights: Annotated[Path, typer.Option(help="Folder of this suite's pretrained weights.")],
+    work: Work,
+    out: Out,
 ) -> None:
     """Train what turns pictures into features, which detectors of all settings share."""
     from geoevs.detection.detectors import train_backbone
 
-    asked = _settings(settings)
-    train_backbone(_scenes(run, scenes), asked, seed, work, out)
+    train_backbone(_scenes(run, scenes), _settings(settings), seed, weights, work, out)
 
 
 def detection_train(
@@ -142,7 +147,8 @@ def detection_find(
 ) -> None:
     """Run a detector on the test scenes, and count what it found by all rules."""
     from geoevs.core.parquet import write_parquet
-    from geoevs.detection.detectors import find_setting, read_found
+    from geoevs.detection.detectors import find_setting
+    from geoevs.detection.found import read_found
     from geoevs.detection.setting_counts import count_setting
 
     tested = _scenes(run, scenes)
@@ -174,7 +180,8 @@ def task_offsets(
 ) -> None:
     """Run the detectors of the recorded views on a rig that moved aside."""
     from geoevs.core.parquet import write_parquet
-    from geoevs.detection.detectors import detectors_of, find
+    from geoevs.detection.detectors import find
+    from geoevs.detection.found import detectors_of
     from geoevs.detection.task_rows import task_rows
 
     asked = _settings(settings)
@@ -191,7 +198,7 @@ def detection_tables(
 ) -> None:
     """Make table 3, the chart of what accuracy costs, and the table of task metrics."""
     from geoevs.core.parquet import read_parquet
-    from geoevs.detection.detectors import outcomes_of
+    from geoevs.detection.found import outcomes_of
     from geoevs.detection.task_rows import TASK_TYPES
     from geoevs.detection.training_settings import settings_with
     from geoevs.results.detection_chart import write_detection_chart
@@ -226,7 +233,7 @@ def detection_figure(
 ) -> None:
     """Draw what detectors of every setting find in the first frame of a test scene."""
     from geoevs.core.images import write_image
-    from geoevs.detection.detectors import found_by
+    from geoevs.detection.found import found_by
     from geoevs.detection.training_settings import settings_with
     from geoevs.results.detection_figure import detection_figure as draw
 

@@ -1,79 +1,40 @@
-"""Detectors of every setting: trained, run on test scenes, and what became of it."""
+"""Detectors of every setting: trained, and run on test scenes."""
 
 import dataclasses
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from geoevs import layout
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import new_folder
+from geoevs.core.networks import best_device
 from geoevs.core.parquet import write_parquet
-from geoevs.detection.bevformer.inputs import RigFrame
-from geoevs.detection.bevformer.settings import Fitting
+from geoevs.detection.bevformer import detecting, features, training
+from geoevs.detection.bevformer.backbone import load_backbone
+from geoevs.detection.bevformer.inputs import FeatureFrame, RigFrame
+from geoevs.detection.bevformer.settings import Detector, Fitting
+from geoevs.detection.found import FOUND
 from geoevs.detection.labels import scored
 from geoevs.detection.outcomes import Outcome
 from geoevs.detection.rigs import DetectionScene
-from geoevs.detection.rows import PREDICTION_TYPES, read_predictions
 from geoevs.detection.settings import DetectionSettings
-from geoevs.detection.training_settings import AUGMENTED, BLIND, LONGER, NATIVE, views_label
-from geoevs.protocol.entries import TRUTH, read_outcomes
-from geoevs.protocol.targets import ALL_CAMERAS
-
-FOUND = "predictions.parquet"
-"""What a detector found, in the folder of its predictions."""
-
-
-def outcomes_of(
-    run: Path, settings: Sequence[str], seeds: Sequence[int]
-) -> dict[tuple[str, int], Outcome]:
-    """How each setting and seed ended, in this order."""
-    return {
-        (setting, seed): Outcome.read(run / layout.PREDICTIONS.format(setting=setting, seed=seed))
-        for setting in settings
-        for seed in seeds
-    }
-
-
-def read_found(folder: Path) -> pd.DataFrame:
-    """Rows of PREDICTION_TYPES of a folder of predictions; none where the detector failed.
-
-    Raises:
-        GeoEvsError: they are missing, damaged, or no predictions.
-    """
-    if Outcome.read(folder).reason:
-        return pd.DataFrame(
-            {name: pd.Series(dtype=kind) for name, kind in PREDICTION_TYPES.items()}
-        )
-    return read_predictions(folder / FOUND)
-
-
-def found_by(run: Path, settings: Sequence[str], seed: int) -> dict[str, pd.DataFrame]:
-    """What detectors of one seed found, by setting; those that failed are left out."""
-    folders = {
-        setting: run / layout.PREDICTIONS.format(setting=setting, seed=seed) for setting in settings
-    }
-    return {
-        setting: read_found(folder)
-        for setting, folder in folders.items()
-        if not Outcome.read(folder).reason
-    }
-
-
-def detectors_of(run: Path, seeds: Sequence[int]) -> dict[int, Path | str]:
-    """By seed, the folder of the detector of the recorded views, or why there is none."""
-    folders = {seed: run / layout.DETECTOR.format(setting=NATIVE, seed=seed) for seed in seeds}
-    return {seed: Outcome.read(folder).reason or folder for seed, folder in folders.items()}
-
+from geoevs.detection.training_settings import AUGMENTED, LONGER, NATIVE, views_label
+from geoevs.protocol.entries import TRUTH
 
 BACKBONE, WEIGHTS = "backbone.safetensors", "detector.safetensors"
 """Networks, in the folders of a backbone and of a detector."""
 
 
 def train_backbone(
-    scenes: Sequence[DetectionScene], settings: DetectionSettings, seed: int, work: Path, out: Path
+    scenes: Sequence[DetectionScene],
+    settings: DetectionSettings,
+    seed: int,
+    pretrained: Path,
+    work: Path,
+    out: Path,
 ) -> None:
     """Train what turns pictures into features, on the recorded views of scenes.
 
@@ -83,17 +44,22 @@ def train_backbone(
         scenes: to learn from.
         settings: the config's section.
         seed: of the detectors that will take it.
+        pretrained: the folder of this suite's own weights.
         work: holds what a killed training needs to go on.
-        out: the folder to write, whole or not at all; BACKBONE lies in it.
+        out: the folder to write, whole or not at all: Outcome, and BACKBONE if all went well.
     """
-    from geoevs.detection.bevformer import features
-
-    _check_labels(scenes)
-    frames = frames_of(scenes, NATIVE, settings.detector)
     with new_folder(out) as partial:
-        features.train_backbone(
-            frames, settings.detector, settings.training, seed, work, partial / BACKBONE
-        )
+        try:
+            _check_labels(scenes)
+            frames = list(_frames(scenes, NATIVE, settings.detector))
+            training.train_backbone(
+                *(frames, settings.detector, settings.training, seed, work),
+                *(partial / BACKBONE, pretrained),
+            )
+            outcome = Outcome(views=len(frames[0].recorded), frames=len(frames))
+        except GeoEvsError as failure:
+            outcome = Outcome(reason=str(failure))
+        outcome.write(partial)
 
 
 def train_setting(
@@ -105,7 +71,7 @@ def train_setting(
     work: Path,
     out: Path,
 ) -> None:
-    """Train a detector in one setting; what it could not be trained for is written down.
+    """Train a detector in one setting; why there is none is written down.
 
     Args:
         scenes: to learn from.
@@ -116,24 +82,20 @@ def train_setting(
         work: holds what a killed training needs to go on.
         out: the folder to write, whole or not at all: Outcome, and WEIGHTS if all went well.
     """
-    from geoevs.detection.bevformer import features, training
-
-    fitting, detector = fitting_of(setting, settings), settings.detector
-    weights = backbone / BACKBONE
-    with new_folder(out) as partial:
+    with new_folder(out) as partial, tempfile.TemporaryDirectory() as scratch:
         try:
-            _check_labels(scenes)
-            frames = frames_of(scenes, setting, detector)
-            if not fitting.sees_pictures:
-                frames = features.cache_features(frames, weights, work)
-            began = time.monotonic()
-            training.train(
-                frames, weights, detector, fitting, seed, work, partial / WEIGHTS
+            _refuse_failure(backbone, "backbone")
+            fitting, weights = fitting_of(setting, settings), backbone / BACKBONE
+            frames = _frames(scenes, setting, settings.detector)
+            seen: list[RigFrame] | list[FeatureFrame] = (
+                list(frames)
+                if fitting.sees_pictures
+                else _featured(frames, weights, settings.detector, Path(scratch))
             )
+            places = (weights, settings.detector, fitting, seed, work, partial / WEIGHTS)
+            seconds = training.train(seen, *places)
             outcome = Outcome(
-                views=len(frames[0].recorded),
-                frames=len(frames),
-                training_seconds=time.monotonic() - began,
+                views=len(seen[0].recorded), frames=len(seen), training_seconds=seconds
             )
         except GeoEvsError as failure:
             outcome = Outcome(reason=str(failure))
@@ -148,3 +110,89 @@ def fitting_of(setting: str, settings: DetectionSettings) -> Fitting:
     if setting == AUGMENTED:
         return dataclasses.replace(fitting, flip=True, jitter=True)
     return fitting
+
+
+def _frames(
+    scenes: Iterable[DetectionScene], setting: str, detector: Detector
+) -> Iterator[RigFrame]:
+    """All scenes' frames as a detector sees them, in its own size."""
+    for scene in scenes:
+        for frame in scene.frames(setting):
+            yield frame.resized(detector.image)
+
+
+def _featured(
+    frames: Iterable[RigFrame], backbone: Path, detector: Detector, folder: Path
+) -> list[FeatureFrame]:
+    """Frames with features in the place of pictures, which stay on disk."""
+    network, found = load_backbone(backbone).to(best_device()), []
+    for number, frame in enumerate(frames):
+        path = folder / f"{number:06d}.npz"
+        features.cache_features(frame, network, detector.image, path)
+        found.append(features.read_features(path))
+    return found
+
+
+def _check_labels(scenes: Sequence[DetectionScene]) -> None:
+    """Refuse scenes without any label to learn from, and say why none counts."""
+    names = f"{len(scenes)} scenes to learn from"
+    scored(pd.concat([scene.labels for scene in scenes], ignore_index=True), names)
+
+
+def _refuse_failure(folder: Path, what: str) -> None:
+    if reason := Outcome.read(folder).reason:
+        raise GeoEvsError(f"its {what} failed: {reason}")
+
+
+def find_setting(scenes: Sequence[DetectionScene], setting: str, detector: Path, out: Path) -> None:
+    """Run a detector on the test scenes; why nothing can be found is written down.
+
+    Args:
+        scenes: to test on.
+        setting: of the detector.
+        detector: the folder of `train_setting`.
+        out: the folder to write, whole or not at all: Outcome, and FOUND if all went well.
+    """
+    trained = Outcome.read(detector)
+    with new_folder(out) as partial:
+        outcome = trained
+        if not trained.reason:
+            try:
+                parts, seconds, views = [], 0.0, 0
+                for scene in scenes:
+                    frames = list(scene.frames(setting))
+                    began = time.monotonic()
+                    parts.append(find(detector, frames))
+                    seconds += time.monotonic() - began
+                    views = max(views, *(len(frame.recorded) for frame in frames))
+                count = sum(len(scene.store.frames) for scene in scenes)
+                outcome = dataclasses.replace(
+                    trained,
+                    frames=count,
+                    views=views,
+                    detect_seconds=seconds / count,
+                    render_seconds=_render_seconds(scenes, setting) / count,
+                )
+                write_parquet(partial / FOUND, pd.concat(parts, ignore_index=True))
+            except GeoEvsError as failure:
+                outcome = dataclasses.replace(trained, reason=str(failure))
+        outcome.write(partial)
+
+
+def find(detector: Path, frames: Iterable[RigFrame]) -> pd.DataFrame:
+    """Rows of PREDICTION_TYPES of what a detector finds in a scene's frames.
+
+    Args:
+        detector: the folder of `train_setting`.
+        frames: of one scene or more, each in its order of time.
+    """
+    return detecting.detect(detector / WEIGHTS, list(frames), best_device())
+
+
+def _render_seconds(scenes: Iterable[DetectionScene], setting: str) -> float:
+    """What an entrant's views of all scenes took: its fits, and the median of a view, times them.
+
+    Nothing of recorded views and of the truth.
+    """
+    label = views_label(setting)
+    return 0.0 if label in (None, TRUTH) else sum(scene.view_seconds(label) for scene in scenes)

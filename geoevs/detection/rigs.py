@@ -124,6 +124,13 @@ class DetectionScene:
             found.append(image)
         return found
 
+    def view_seconds(self, label: str) -> float:
+        """Seconds that an entrant took for the views between cameras, its fit among them."""
+        folder = self._path(layout.DETECTION_VIEWS, label=label)
+        outcome = read_outcomes(folder / "render.json")[ALL_CAMERAS]
+        count = sum(view.split == BETWEEN for view in self.targets)
+        return (outcome.get("fit_seconds") or 0.0) + count * (outcome.get("render_seconds") or 0.0)
+
     def _truth(self, view: Target) -> np.ndarray:
         path = self._path(layout.DETECTION_TRUTH) / f"{view.key}.png"
         if not path.exists():

@@ -77,8 +77,8 @@ def _cell(form: str, row: Mapping[str, Any], name: str) -> str:
 
 TASK_LEGEND = """NTA-IoU in percent [bootstrap interval over scenes and seeds]: the mean, over
 labelled vehicles that a camera shows, of the best IoU in the image of a box that the detector of
-the recorded views predicts. The rig stands so many metres to the left of where it was recorded; at 0
-it sees the recorded pictures. *Controls* in italics. No value = something failed, see `note`.
+the recorded views predicts. The rig stands so many metres to the left of where it was recorded; at
+0 it sees the recorded pictures. *Controls* in italics. No value = something failed, see `note`.
 """
 
 

@@ -60,6 +60,12 @@ def detection_scenes(wildcards):
     return DETECTION_TRAIN
 
 
+def backbone_hash(wildcards):
+    """Hash of the weights that a pretrained backbone is made of, which no rule makes."""
+    kind = DETECTION.get("detector", {}).get("backbone", "cnn")
+    return content_hash(f"{WEIGHTS_FOLDER}/{kind}.safetensors")
+
+
 def run_of(pattern):
     """A function for params: the run's folder, which an output of this pattern lies in."""
     return lambda wildcards, output: Path(output[0]).parents[pattern.count("/")]
@@ -195,12 +201,14 @@ rule detection_backbone:
         run=run_of(layout.DETECTION_BACKBONE),
         scenes=scene_list(DETECTION_TRAIN),
         settings=detection_section("detector", "training"),
+        weights=WEIGHTS_FOLDER,
+        starts_from=backbone_hash,
         work=in_run(layout.TRAINING).format(network="detection/backbone.seed{seed}"),
-        code=code_hash("geoevs.detection.detectors:train_backbone"),
+        code=code_hash("geoevs.detection.detectors"),
     shell:
         "geoevs --log {log:q} detection-backbone --run {params.run:q} {params.scenes}"
-        " --settings {params.settings:q} --seed {wildcards.seed} --work {params.work:q}"
-        " --out {output:q}"
+        " --settings {params.settings:q} --seed {wildcards.seed} --weights {params.weights:q}"
+        " --work {params.work:q} --out {output:q}"
 
 
 rule detection_train:
@@ -222,7 +230,7 @@ rule detection_train:
         scenes=scene_list(DETECTION_TRAIN),
         settings=detection_section("detector", "training", "longer"),
         work=in_run(layout.TRAINING).format(network="detection/{setting}.seed{seed}"),
-        code=code_hash("geoevs.detection.detectors:train_setting"),
+        code=code_hash("geoevs.detection.detectors"),
     shell:
         "geoevs --log {log:q} detection-train --run {params.run:q} {params.scenes}"
         " --setting {wildcards.setting:q} --settings {params.settings:q} --seed {wildcards.seed}"
@@ -246,7 +254,7 @@ rule detection_find:
         run=run_of(layout.PREDICTIONS),
         scenes=scene_list(DETECTION_TEST),
         code=code_hash(
-            "geoevs.detection.detectors:find_setting",
+            "geoevs.detection.detectors",
             "geoevs.detection.setting_counts",
         ),
     shell:
@@ -292,7 +300,7 @@ rule task_offsets:
         scenes=scene_list(DETECTION_TEST),
         seeds=with_option("--seeds", DETECTION_SEEDS),
         settings=detection_section("offsets"),
-        code=code_hash("geoevs.detection.detectors:find", "geoevs.detection.task_rows"),
+        code=code_hash("geoevs.detection.detectors", "geoevs.detection.task_rows"),
     shell:
         "geoevs --log {log:q} task-offsets --run {params.run:q} {params.scenes}"
         " --label {wildcards.label:q} --settings {params.settings:q} {params.seeds}"

@@ -118,9 +118,8 @@ def _detection(table: pd.DataFrame, task: pd.DataFrame) -> Iterator[str]:
         chance = "more than chance" if low > 0 or high < 0 else "no more than chance"
         chance = "without an interval" if math.isnan(low) else chance
         who, more = row["name"].removeprefix("recorded + "), row["views"] - native["views"]
-        yield (
-            f"With {who} in {more:.0f} more views it changes by {_between(row, 'let_mapl_gain', '+')}: {chance}."
-        )
+        gain = _between(row, "let_mapl_gain", "+")
+        yield f"With {who} in {more:.0f} more views it changes by {gain}: {chance}."
     yield from _moved(task)
 
 
