@@ -1,108 +1,61 @@
-"""What detectors see and find in a frame: recorded views with boxes, and the scene from above."""
+"""What detectors of every setting find in one frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-import cv2
 import numpy as np
 import pandas as pd
+from PIL import Image, ImageDraw, ImageFont
 
 from geoevs.core.images import to_uint8
+from geoevs.detection.bevformer.pictures import draw_frame
 from geoevs.detection.labels import Bounds
 from geoevs.detection.rigs import DetectionScene
 from geoevs.detection.rows import BOX
-from geoevs.detection.task_metrics import box_corners, edges_before, image_from_vehicle
-from geoevs.results.figures import Row, draw_grid
-
-TRUTH_INK = (255, 255, 255)
-INKS = {"vehicle": (255, 120, 40), "pedestrian": (70, 220, 120), "cyclist": (230, 90, 230)}
-"""Colours of what is predicted, by class; labels are white."""
-
-ROAD = (40, 42, 48)
-SCALE = 3
-"""Pixels of a drawing for one of a picture, so that lines are fine."""
-
-FURTHEST = 1e5
-"""Pixels beyond which OpenCV draws no line."""
+from geoevs.detection.training_settings import NATIVE
+from geoevs.results.figures import BACKGROUND, HEADER, INK, MARGIN
 
 
 def detection_figure(
-    scene: DetectionScene,
-    frame: int,
-    predictions: Mapping[str, pd.DataFrame],
-    bounds: Bounds,
+    scene: DetectionScene, frame: int, predictions: Mapping[str, pd.DataFrame], bounds: Bounds
 ) -> np.ndarray:
-    """(H, W, 3) uint8: a row for every setting, its recorded views and the scene from above.
+    """(H, W, 3) uint8: for every setting the recorded views and the scene from above, with boxes.
 
     As many predictions are drawn as there are labels, those of highest score.
 
     Args:
         scene: a test scene.
         frame: one of it.
-        predictions: rows of PREDICTION_TYPES by setting; all frames of all scenes.
+        predictions: rows of PREDICTION_TYPES by setting, of all scenes.
         bounds: what is shown from above.
     """
-    labels, _ = scene.boxes(frame)
-    truths = [(box, TRUTH_INK) for box in labels]
-    rows = [
-        Row(
-            name,
-            _pictures(scene, frame, truths, _best(found, scene.name, frame, len(labels)), bounds),
-        )
+    shown = next(one for one in scene.frames(NATIVE) if one.frame == frame)
+    pictures = {
+        name: draw_frame(shown, _best(found, scene.name, frame, len(shown.boxes)), bounds)
         for name, found in predictions.items()
-    ]
-    return draw_grid([*scene.store.cameras, "from above"], rows)
+    }
+    return labelled(pictures) if pictures else labelled({"every setting failed": shown.images[0]})
 
 
-Inked = Sequence[tuple[np.ndarray, tuple[int, int, int]]]
-"""Boxes (7,), and the colours that they are drawn in."""
-
-
-def _best(found: pd.DataFrame, scene: str, frame: int, count: int) -> Inked:
-    """The predictions of highest score in a frame, and their colours."""
+def _best(found: pd.DataFrame, scene: str, frame: int, count: int) -> np.ndarray:
+    """(N, 7) the boxes of highest score in a frame."""
     mine = found[(found["scene"] == scene) & (found["frame"] == frame)]
     mine = mine.sort_values("score", ascending=False, kind="stable").head(count)
-    boxes = mine[list(BOX)].to_numpy(float)
-    return [(box, INKS[label]) for box, label in zip(boxes, mine["class"], strict=True)]
+    return mine[list(BOX)].to_numpy(np.float64)
 
 
-def _pictures(
-    scene: DetectionScene, frame: int, truths: Inked, found: Inked, bounds: Bounds
-) -> list[np.ndarray]:
-    pose = scene.vehicle_pose(frame)
-    pictures = []
-    for name in scene.store.cameras:
-        camera = scene.store.camera(name, frame)
-        picture = to_uint8(scene.store.image(name, frame))
-        size = (SCALE * camera.width, SCALE * camera.height)
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
-        for box, ink in (*truths, *found):
-            ends, there = edges_before(box[None], image_from_vehicle(camera, pose))
-            for start, end in ends[0][there[0]] * SCALE:
-                _line(picture, start, end, ink)
-        pictures.append(picture)
-    return [*pictures, from_above(truths, found, bounds, pictures[0].shape[:2])]
+def labelled(pictures: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(H, W, 3) uint8: pictures one below the other, each under its name."""
+    tiles = {name: Image.fromarray(_bytes(picture)) for name, picture in pictures.items()}
+    width = max(tile.width for tile in tiles.values()) + 2 * MARGIN
+    height = sum(tile.height + HEADER for tile in tiles.values()) + MARGIN
+    canvas = Image.new("RGB", (width, height), BACKGROUND)
+    draw, font, top = ImageDraw.Draw(canvas), ImageFont.load_default(size=13), 0
+    for name, tile in tiles.items():
+        draw.text((MARGIN, top + 3), name, fill=INK, font=font)
+        canvas.paste(tile, (MARGIN, top + HEADER))
+        top += tile.height + HEADER
+    return np.asarray(canvas)
 
 
-def from_above(truths: Inked, found: Inked, bounds: Bounds, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W, 3) uint8: boxes from above, the vehicle's heading upwards; fronts are marked."""
-    picture = np.full((*shape, 3), ROAD, np.uint8)
-    x, y = (np.array([bounds[axis], bounds[axis + 3]]) for axis in (0, 1))
-    scale = min(shape[0] / np.ptp(x), shape[1] / np.ptp(y))
-
-    def place(point: np.ndarray) -> np.ndarray:
-        return np.array([shape[1] / 2 - (point[1] - y.mean()) * scale,
-                         shape[0] / 2 - (point[0] - x.mean()) * scale])  # fmt: skip
-
-    for box, ink in (*truths, *found):
-        corners = [place(corner) for corner in box_corners(box[None])[0, :4]]
-        for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
-            _line(picture, start, end, ink)
-        _line(picture, place(box[:2]), (corners[0] + corners[3]) / 2, ink)
-    cv2.circle(picture, tuple(map(int, place(np.zeros(2)))), 3, TRUTH_INK, -1)
-    return picture
-
-
-def _line(picture: np.ndarray, start: np.ndarray, end: np.ndarray, ink: tuple) -> None:
-    if np.abs([start, end]).max() < FURTHEST:
-        ends = (tuple(map(int, np.rint(16 * (point - 0.5)))) for point in (start, end))
-        cv2.line(picture, *ends, ink, 2, cv2.LINE_AA, shift=4)
+def _bytes(picture: np.ndarray) -> np.ndarray:
+    return picture if picture.dtype == np.uint8 else to_uint8(picture)
