@@ -73,9 +73,7 @@ class _Residual(nn.Module):
         super().__init__()
         self.first = nn.Conv2d(before, channels, 3, stride, padding=1)
         self.second = nn.Conv2d(channels, channels, 3, padding=1)
-        self.norms = nn.ModuleList(
-            [nn.GroupNorm(GROUPS, before), nn.GroupNorm(GROUPS, channels)]
-        )
+        self.norms = nn.ModuleList([nn.GroupNorm(GROUPS, before), nn.GroupNorm(GROUPS, channels)])
         self.skip = nn.Conv2d(before, channels, 1, stride) if stride > 1 else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:

@@ -62,7 +62,10 @@ class Grid:
             they are before the camera and within the picture.
         """
         points = torch.from_numpy(self.pillars).to(image_from_vehicle.device)
-        turn, shift = image_from_vehicle[:, None, None, :, :3], image_from_vehicle[:, None, None, :, 3]
+        turn, shift = (
+            image_from_vehicle[:, None, None, :, :3],
+            image_from_vehicle[:, None, None, :, 3],
+        )
         pixels = (turn @ points[..., None])[..., 0] + shift
         ahead = pixels[..., 2] > NEAREST
         places = pixels[..., :2] / pixels[..., 2:].clamp(min=NEAREST)

@@ -21,9 +21,7 @@ LARGEST = 60_000.0
 
 
 @torch.inference_mode()
-def cache_features(
-    frame: RigFrame, backbone: Backbone, size: tuple[int, int], path: Path
-) -> None:
+def cache_features(frame: RigFrame, backbone: Backbone, size: tuple[int, int], path: Path) -> None:
     """Write a frame's features, its geometry and labels, whole or not at all.
 
     Args:

@@ -73,7 +73,9 @@ def match(
         empty = (1 - ALPHA) * p**GAMMA * -(1 - p + 1e-8).log()
         cost = CLASS * (found - empty) + BOX * torch.cdist(codes, target.codes, p=1)
         # A loss that is no number shall stop the training, not the matching before it.
-        pairs = linear_sum_assignment(cost.nan_to_num(nan=1e6, posinf=1e6, neginf=-1e6).cpu().numpy())
+        pairs = linear_sum_assignment(
+            cost.nan_to_num(nan=1e6, posinf=1e6, neginf=-1e6).cpu().numpy()
+        )
     query, box = (torch.from_numpy(one).to(logits.device) for one in pairs)
     return query, box
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from geoevs.core.images import to_uint8
 from geoevs.detection.bevformer.inputs import FeatureFrame, RigFrame
-from geoevs.detection.iou import corners
+from geoevs.detection.task_metrics import box_corners, edges_before
 
 TRUE, FOUND, GROUND = (40, 200, 60), (255, 60, 40), (24, 24, 28)
 """Colours of labels, of what is found, and of the map."""
@@ -15,8 +15,8 @@ TRUE, FOUND, GROUND = (40, 200, 60), (255, 60, 40), (24, 24, 28)
 SCALE = 3
 """Pixels of a picture's side for one of a view's."""
 
-NEAREST = 0.1
-"""Metres before a camera from which on corners are drawn."""
+FURTHEST = 1e4
+"""Pixels beyond which OpenCV draws no line."""
 
 
 def draw_frame(
@@ -42,8 +42,9 @@ def draw_frame(
     for picture, projection in zip(pictures, projections, strict=True):
         view = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
         for colour, some in ((TRUE, frame.boxes), (FOUND, boxes)):
-            for box in some:
-                _draw_box(view, box, projection, colour)
+            ends, before = edges_before(some, projection)
+            for start, end in ends[before] * SCALE:
+                _line(view, start, end, colour)
         views.append(view)
     drawn = draw_map(frame.boxes, boxes, bounds, 2 * height)
     columns = -(-len(views) // 2)
@@ -63,14 +64,21 @@ def draw_map(
     image = np.full((height, round(scale * (bounds[4] - bounds[1])), 3), GROUND, np.uint8)
 
     def pixels(points: np.ndarray) -> np.ndarray:
-        places = np.stack([bounds[4] - points[..., 1], bounds[3] - points[..., 0]], axis=-1)
-        return np.rint(np.clip(places * scale, -1e4, 1e4)).astype(np.int32)
+        return np.stack([bounds[4] - points[..., 1], bounds[3] - points[..., 0]], axis=-1) * scale
 
     for colour, boxes in ((TRUE, true), (FOUND, found)):
-        for box in boxes:
-            heading = np.array([np.cos(box[6]), np.sin(box[6])])
-            front = box[:2] + heading * box[3] / 2
-            cv2.polylines(image, [pixels(footprint(box))], True, colour, 1, cv2.LINE_AA)
-            cv2.line(image, *map(tuple, pixels(np.stack([box[:2], front])).tolist()), colour, 1)
-    cv2.circle(image, tuple(pixels(np.zeros(2)).tolist()), 3, (255, 255, 255), -1)
+        ground = box_corners(boxes)[:, :4, :2]
+        for box, corners in zip(boxes, ground, strict=True):
+            for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                _line(image, pixels(start), pixels(end), colour)
+            front = box[:2] + box[3] / 2 * np.array([np.cos(box[6]), np.sin(box[6])])
+            _line(image, pixels(box[:2]), pixels(front), colour)
+    place = pixels(np.zeros(2))
+    cv2.circle(image, tuple(map(int, place)), 3, (255, 255, 255), -1)
     return image
+
+
+def _line(image: np.ndarray, start: np.ndarray, end: np.ndarray, colour: tuple) -> None:
+    if np.abs([start, end]).max() < FURTHEST:
+        ends = (tuple(map(int, np.rint(16 * (point - 0.5)))) for point in (start, end))
+        cv2.line(image, *ends, colour, 1, cv2.LINE_AA, shift=4)

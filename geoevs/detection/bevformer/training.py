@@ -26,7 +26,6 @@ from geoevs.detection.bevformer.inputs import FeatureFrame, RigFrame, in_scenes
 from geoevs.detection.bevformer.losses import detection_losses, wanted
 from geoevs.detection.bevformer.network import (
     BevFormer,
-    Memory,
     new_bevformer,
     save_bevformer,
 )
@@ -223,7 +222,9 @@ class DetectorTask:
         """The recorded views of one frame with its boxes, what is found among them, and a map."""
         assert isinstance(model, BevFormer)
         frame = self._frames[len(self._frames) // 2]
-        memory = model.remember(self._frames[place] for place in self._earlier[len(self._frames) // 2])
+        memory = model.remember(
+            self._frames[place] for place in self._earlier[len(self._frames) // 2]
+        )
         found, _ = model([frame], [memory])
         boxes, _, scores = found_boxes(found, model.detector)[0]
         return draw_frame(frame, boxes[scores >= SHOWN], model.detector.range)
