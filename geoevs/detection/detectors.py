@@ -50,7 +50,7 @@ def train_backbone(
     """
     with new_folder(out) as partial:
         try:
-            _check_labels(scenes)
+            _check_labels(scenes, "learn from")
             frames = list(_frames(scenes, NATIVE, settings.detector))
             training.train_backbone(
                 *(frames, settings.detector, settings.training, seed, work),
@@ -133,10 +133,10 @@ def _featured(
     return found
 
 
-def _check_labels(scenes: Sequence[DetectionScene]) -> None:
-    """Refuse scenes without any label to learn from, and say why none counts."""
-    names = f"{len(scenes)} scenes to learn from"
-    scored(pd.concat([scene.labels for scene in scenes], ignore_index=True), names)
+def _check_labels(scenes: Sequence[DetectionScene], purpose: str) -> None:
+    """Refuse scenes without any label that counts, and say why none does."""
+    labels = pd.concat([scene.labels for scene in scenes], ignore_index=True)
+    scored(labels, f"{len(scenes)} scenes to {purpose}")
 
 
 def _refuse_failure(folder: Path, what: str) -> None:
@@ -158,6 +158,7 @@ def find_setting(scenes: Sequence[DetectionScene], setting: str, detector: Path,
         outcome = trained
         if not trained.reason:
             try:
+                _check_labels(scenes, "test on")
                 parts, seconds, views = [], 0.0, 0
                 for scene in scenes:
                     frames = list(scene.frames(setting))

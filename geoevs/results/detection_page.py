@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from geoevs.results.detection_stage import GAINS
+from geoevs.results.detection_stage import DETAILS, GAINS
 from geoevs.results.formats import latex_tabular, markdown_grid, with_interval, write_formats
 
 TITLES = {
@@ -34,7 +34,20 @@ def write_detection_stage(stem: Path, table: pd.DataFrame) -> None:
 
 
 def _markdown(table: pd.DataFrame) -> str:
-    return f"# Detection with generated views\n\n{markdown_grid(*_grid(table))}\n\n{LEGEND}"
+    title, numbers = "# Detection with generated views", markdown_grid(*_grid(table))
+    details = markdown_grid(*_details(table))
+    return f"{title}\n\n{numbers}\n\n{LEGEND}\n## By class and range\n\n{details}\n"
+
+
+def _details(table: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Numbers of classes and ranges that have truths."""
+    shown = [name for name in DETAILS if table[name].notna().any()]
+    header = ["setting", *(name.replace("let_", "LET-").replace("_", " ") for name in shown)]
+    body = [
+        [row["name"], *(_cell("{:.1f}", row, name) for name in shown)]
+        for row in table.to_dict("records")
+    ]
+    return header, body
 
 
 def _latex(table: pd.DataFrame) -> str:

@@ -70,7 +70,8 @@ def _numbers() -> dict[str, Shard]:
         for weight in LET_WEIGHTS.values()
     }
     by_range = {
-        f"let_mapl_{name}": Shard("LET", RANGE, ROAD_USERS, name, 2, "apl") for name in RANGES
+        f"let_mapl_{column}": Shard("LET", RANGE, ROAD_USERS, name, 2, "apl")
+        for column, name in zip(("to_30m", "30_to_50m", "from_50m"), RANGES, strict=True)
     }
     return {
         **let,
@@ -82,6 +83,11 @@ def _numbers() -> dict[str, Shard]:
 
 
 NUMBERS = _numbers()
+DETAILS = [
+    name for name in NUMBERS if name not in (*LET_WEIGHTS, "l1_aph_vehicle", "ap_2m_vehicle")
+]
+"""Those by class and by range."""
+
 INTERVALS = (*GAINS, "ap_2m_vehicle")
 """Those with an interval of their own."""
 

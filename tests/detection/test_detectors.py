@@ -124,6 +124,17 @@ def test_scenes_without_labels_fail_in_one_sentence(rig_scene, tmp_path):
         [rig_scene], "native", SETTINGS, 0, tmp_path / "backbone", tmp_path / "w", tmp_path / "out"
     )
     assert Outcome.read(tmp_path / "out").reason == f"its backbone failed: {reason}"
+    (tmp_path / "fine").mkdir()
+    Outcome().write(tmp_path / "fine")
+    find_setting([rig_scene], "native", tmp_path / "fine", tmp_path / "found")
+    assert "no label of 1 scenes to test on counts" in Outcome.read(tmp_path / "found").reason
+
+
+def test_weights_that_are_not_here_are_a_reason(rig_scene, tmp_path):
+    pretrained = DetectionSettings.parse({"detector": {"backbone": "vggt-nano"}})
+    train_backbone([rig_scene], pretrained, 0, tmp_path, tmp_path / "w", tmp_path / "backbone")
+    reason = Outcome.read(tmp_path / "backbone").reason
+    assert "the backbone 'vggt-nano' of detectors has no weights here" in reason
 
 
 @pytest.mark.parametrize("change", [{"views": "many"}, {"views": -1}, {"frames": None}, {"x": 1}])

@@ -93,8 +93,8 @@ def test_numbers_by_hand(table):
     expected = 100 * average_precisions(one)["ap"]
     assert native["let_map"] == pytest.approx(expected) == pytest.approx(100 / 9, abs=0.1)
     assert native["let_ap_cyclist"] != native["let_ap_cyclist"]  # nobody has any
-    assert native["let_mapl_[0, 30)"] == pytest.approx(native["let_mapl"])
-    assert math.isnan(native["let_mapl_[30, 50)"])
+    assert native["let_mapl_to_30m"] == pytest.approx(native["let_mapl"])
+    assert math.isnan(native["let_mapl_30_to_50m"])
     assert (native["truths"], native["predictions"], native["flipped"]) == (6, 6, 0)
 
 
@@ -153,6 +153,10 @@ def test_tables_and_chart_are_written(table, tmp_path):
     assert "| recorded + Geo-EVS | 45 | lidar training | 35.9 | 100.0" in words
     assert "| *recorded + Mean colour* |" in words
     assert "LET-mAPL ↑ paper" in words
+    header = next(line for line in words.splitlines() if "LET-ap vehicle" in line)
+    assert "LET-aph pedestrian" in header
+    assert "LET-mapl to 30m" in header
+    assert "cyclist" not in header
     assert (tmp_path / "detection.tex").read_text().count(r"\midrule") >= 2
     points = chart_points(table)
     assert set(points["setting"]) == {"blind", "native", "longer", "augmented", "with-geo-evs"}
