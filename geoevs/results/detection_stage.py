@@ -133,28 +133,27 @@ def detection_stage_table(
         for n in (scenes, len(seeds))
     )
     redrawn = settings if scenes * len(seeds) > 1 else None
-    native: dict[str, np.ndarray] = {}
-    rows = []
+    rows, drawn = [], {}
     for place, name in enumerate(names):
-        row = _about(name, [outcomes[name, seed] for seed in seeds], entries, entrants)
-        values = {}
+        row = NO_SIZES | _about(name, [outcomes[name, seed] for seed in seeds], entries, entrants)
         if not row["failed"] and sums:
             numbers = {rules: of[place] for rules, of in sums.items()}
-            values = _values(numbers, draws)
+            drawn[name] = _values(numbers, draws)
             row |= _sizes(numbers)
-        row = NO_SIZES | row
-        native = values if name == NATIVE else native
+        rows.append(row)
+    native = drawn.get(NATIVE)
+    for row in rows:
+        values = drawn.get(row["setting"])
         for column in NUMBERS:
             row[column] = values[column][0] if values else math.nan
         for column in INTERVALS:
-            row |= _ends(column, values.get(column), redrawn)
+            row |= _ends(column, values and values[column], redrawn)
         for column in GAINS:
-            gain = values[column] - native[column] if values and native else None
-            gain = None if name == NATIVE else gain
+            paired = values and native and values is not native
+            gain = values[column] - native[column] if paired else None
             row[f"{column}_gain"] = math.nan if gain is None else gain[0]
             row |= _ends(f"{column}_gain", gain, redrawn)
             row[f"{column}_paper"] = _paper(row).get(column, math.nan)
-        rows.append(row)
     return pd.DataFrame(rows)
 
 
