@@ -1,8 +1,7 @@
-"""What a detector sees of a frame: recorded pictures, and those of an entrant where a setting has
-them; and what it is to find there.
-"""
+"""What a detector sees of a frame, by its setting, and what it is to find there."""
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -41,17 +40,14 @@ class DetectionScene:
         self.name = scene_name(dataset, scene)
         self.store = Scene(self._path(layout.SCENE))
         self.labels: pd.DataFrame = read_labels(self._path(layout.DETECTION_LABELS))
-        self._targets: list[Target] | None = None
 
     def _path(self, pattern: str, **names: str) -> Path:
         return self._run / pattern.format(**self._place, **names)
 
-    @property
+    @cached_property
     def targets(self) -> list[Target]:
         """All views that entrants render of it."""
-        if self._targets is None:
-            self._targets = read_targets(self._path(layout.DETECTION_TARGETS))
-        return self._targets
+        return read_targets(self._path(layout.DETECTION_TARGETS))
 
     def frames(self, setting: str) -> Iterator[RigFrame]:
         """Every frame as detectors of a setting see it.
