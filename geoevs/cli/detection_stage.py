@@ -140,22 +140,27 @@ def detection_train(
 def detection_find(
     run: Run,
     scenes: Scenes,
-    setting: Setting,
+    labels: Labels,
     seed: Seed,
     counts: Annotated[Path, typer.Option(help="Where rows of counts go.")],
     out: Out,
 ) -> None:
-    """Run a detector on the test scenes, and count what it found by all rules."""
+    """Run the detectors of all settings on the test scenes, and count what they find."""
+    import pandas as pd
+
     from geoevs.core.parquet import write_parquet
-    from geoevs.detection.detectors import find_setting
+    from geoevs.detection.detectors import find_settings
     from geoevs.detection.found import read_found
     from geoevs.detection.setting_counts import count_setting
+    from geoevs.detection.training_settings import settings_with
 
+    settings = settings_with(list(_entries(labels)))
     tested = _scenes(run, scenes)
-    detector = run / layout.DETECTOR.format(setting=setting, seed=seed)
-    find_setting(tested, setting, detector, out)
-    rows = count_setting(setting, seed, tested, read_found(out))
-    write_parquet(counts, rows)
+    pattern = layout.DETECTOR
+    detectors = {name: run / pattern.format(setting=name, seed=seed) for name in settings}
+    find_settings(tested, detectors, out)
+    parts = [count_setting(name, seed, tested, read_found(out / name)) for name in settings]
+    write_parquet(counts, pd.concat(parts, ignore_index=True))
 
 
 def _settings(text: str) -> "DetectionSettings":
@@ -173,20 +178,26 @@ def _scenes(run: Path, scenes: list[str]) -> "list[DetectionScene]":
 def task_offsets(
     run: Run,
     scenes: Scenes,
-    label: Annotated[str, typer.Option(help="Whose pictures; `recorded`: the recorded ones.")],
+    labels: Labels,
     settings: Section,
     seeds: Annotated[list[int], typer.Option(min=0, help="Of a detector; repeat for more.")],
     out: Out,
 ) -> None:
     """Run the detectors of the recorded views on a rig that moved aside."""
+    import pandas as pd
+
     from geoevs.core.parquet import write_parquet
     from geoevs.detection.detectors import find
     from geoevs.detection.found import detectors_of
-    from geoevs.detection.task_rows import task_rows
+    from geoevs.detection.task_rows import RECORDED, task_rows
 
-    asked = _settings(settings)
-    tested = _scenes(run, scenes)
-    write_parquet(out, task_rows(label, tested, asked.offsets, detectors_of(run, seeds), find))
+    offsets, tested = _settings(settings).offsets, _scenes(run, scenes)
+    detectors = detectors_of(run, seeds)
+    parts = [
+        task_rows(label, tested, offsets, detectors, find)
+        for label in (RECORDED, *_entries(labels))
+    ]
+    write_parquet(out, pd.concat(parts, ignore_index=True))
 
 
 def detection_tables(

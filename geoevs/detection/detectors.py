@@ -3,7 +3,7 @@
 import dataclasses
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -144,40 +144,51 @@ def _refuse_failure(folder: Path, what: str) -> None:
         raise GeoEvsError(f"its {what} failed: {reason}")
 
 
-def find_setting(scenes: Sequence[DetectionScene], setting: str, detector: Path, out: Path) -> None:
-    """Run a detector on the test scenes; why nothing can be found is written down.
+def find_settings(
+    scenes: Sequence[DetectionScene], detectors: Mapping[str, Path], out: Path
+) -> None:
+    """Run the detectors of settings on the test scenes; why nothing can be found is written down.
 
     Args:
         scenes: to test on.
-        setting: of the detector.
-        detector: the folder of `train_setting`.
-        out: the folder to write, whole or not at all: Outcome, and FOUND if all went well.
+        detectors: by setting, the folder of `train_setting`.
+        out: the folder to write, whole or not at all: for every setting a folder with Outcome, and
+            FOUND if all went well.
     """
-    trained = Outcome.read(detector)
     with new_folder(out) as partial:
-        outcome = trained
-        if not trained.reason:
+        for setting, detector in detectors.items():
+            outcome, folder = Outcome.read(detector), partial / setting
+            folder.mkdir()
             try:
-                _check_labels(scenes, "test on")
-                parts, seconds, views = [], 0.0, 0
-                for scene in scenes:
-                    frames = list(scene.frames(setting))
-                    began = time.monotonic()
-                    parts.append(find(detector, frames))
-                    seconds += time.monotonic() - began
-                    views = max(views, *(len(frame.recorded) for frame in frames))
-                count = sum(len(scene.store.frames) for scene in scenes)
-                outcome = dataclasses.replace(
-                    trained,
-                    frames=count,
-                    views=views,
-                    detect_seconds=seconds / count,
-                    render_seconds=_render_seconds(scenes, setting) / count,
-                )
-                write_parquet(partial / FOUND, pd.concat(parts, ignore_index=True))
+                if not outcome.reason:
+                    _check_labels(scenes, "test on")
+                    outcome, found = _found(scenes, setting, detector, outcome)
+                    write_parquet(folder / FOUND, found)
             except GeoEvsError as failure:
-                outcome = dataclasses.replace(trained, reason=str(failure))
-        outcome.write(partial)
+                outcome = dataclasses.replace(outcome, reason=str(failure))
+            outcome.write(folder)
+
+
+def _found(
+    scenes: Sequence[DetectionScene], setting: str, detector: Path, trained: Outcome
+) -> tuple[Outcome, pd.DataFrame]:
+    """What a detector of a setting finds in the test scenes, and what that takes."""
+    parts, seconds, views = [], 0.0, 0
+    for scene in scenes:
+        frames = list(scene.frames(setting))
+        began = time.monotonic()
+        parts.append(find(detector, frames))
+        seconds += time.monotonic() - began
+        views = max(views, *(len(frame.recorded) for frame in frames))
+    count = sum(len(scene.store.frames) for scene in scenes)
+    outcome = dataclasses.replace(
+        trained,
+        frames=count,
+        views=views,
+        detect_seconds=seconds / count,
+        render_seconds=_render_seconds(scenes, setting) / count,
+    )
+    return outcome, pd.concat(parts, ignore_index=True)
 
 
 def find(detector: Path, frames: Iterable[RigFrame]) -> pd.DataFrame:

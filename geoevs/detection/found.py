@@ -19,7 +19,7 @@ def outcomes_of(
 ) -> dict[tuple[str, int], Outcome]:
     """How each setting and seed ended, in this order."""
     return {
-        (setting, seed): Outcome.read(run / layout.PREDICTIONS.format(setting=setting, seed=seed))
+        (setting, seed): Outcome.read(run / layout.PREDICTIONS.format(seed=seed) / setting)
         for setting in settings
         for seed in seeds
     }
@@ -41,7 +41,7 @@ def read_found(folder: Path) -> pd.DataFrame:
 def found_by(run: Path, settings: Sequence[str], seed: int) -> dict[str, pd.DataFrame]:
     """What detectors of one seed found, by setting; those that failed are left out."""
     folders = {
-        setting: run / layout.PREDICTIONS.format(setting=setting, seed=seed) for setting in settings
+        setting: run / layout.PREDICTIONS.format(seed=seed) / setting for setting in settings
     }
     return {
         setting: read_found(folder)

@@ -10,7 +10,7 @@ from geoevs.detection.detectors import (
     BACKBONE,
     WEIGHTS,
     find,
-    find_setting,
+    find_settings,
     fitting_of,
     train_backbone,
     train_setting,
@@ -32,28 +32,27 @@ SETTINGS = DetectionSettings.parse(
 )
 
 
-def places(run, setting, seed=0):
-    return [run / name.format(setting=setting, seed=seed) for name in PATTERNS]
+def places(run, setting):
+    patterns = (layout.DETECTION_BACKBONE, layout.DETECTOR)
+    return [run / pattern.format(setting=setting, seed=0) for pattern in patterns]
 
 
-PATTERNS = (layout.DETECTION_BACKBONE, layout.DETECTOR, layout.PREDICTIONS)
-
-
-def made(run, scene, setting, work, settings=SETTINGS):
-    """A detector of a setting, and what it finds in the scene that it learned from."""
-    backbone, detector, predictions = places(run, setting)
-    if not backbone.exists():
-        train_backbone([scene], settings, 0, work / "weights", work / "backbone", backbone)
-    train_setting([scene], setting, settings, 0, backbone, work / setting, detector)
-    find_setting([scene], setting, detector, predictions)
-    return Outcome.read(predictions)
+def made(run, scene, work, *settings):
+    """Detectors of settings, and how they and their tests on what they learned from ended."""
+    detectors = {}
+    for setting in settings:
+        backbone, detectors[setting] = places(run, setting)
+        if not backbone.exists():
+            train_backbone([scene], SETTINGS, 0, work / "weights", work / "backbone", backbone)
+        where = (backbone, work / setting, detectors[setting])
+        train_setting([scene], setting, SETTINGS, 0, *where)
+    find_settings([scene], detectors, run / layout.PREDICTIONS.format(seed=0))
+    return {name: outcome for (name, _), outcome in outcomes_of(run, settings, [0]).items()}
 
 
 def test_every_setting_is_trained_and_tested(rig_run, rig_scene, tmp_path):
-    outcomes = {
-        setting: made(rig_run, rig_scene, setting, tmp_path)
-        for setting in ("blind", "native", "augmented", "with-truth", "with-grey")
-    }
+    settings = ("blind", "native", "augmented", "with-truth", "with-grey")
+    outcomes = made(rig_run, rig_scene, tmp_path, *settings)
     assert {name: outcome.reason for name, outcome in outcomes.items()} == dict.fromkeys(
         outcomes, ""
     )
@@ -92,16 +91,16 @@ def test_settings_differ_in_nothing_but_what_they_say():
 
 
 def test_what_fails_is_a_reason_and_the_others_go_on(rig_run, rig_scene, tmp_path):
-    broken = made(rig_run, rig_scene, "with-nobody", tmp_path)
-    assert "render.json is missing" in broken.reason
-    backbone, detector, predictions = places(rig_run, "with-nobody")
+    outcomes = made(rig_run, rig_scene, tmp_path, "with-nobody", "native")
+    assert "render.json is missing" in outcomes["with-nobody"].reason
+    assert outcomes["native"].reason == ""
+    backbone, detector = places(rig_run, "with-nobody")
+    assert (backbone / BACKBONE).exists()
     assert not (detector / WEIGHTS).exists()
+    predictions = rig_run / layout.PREDICTIONS.format(seed=0) / "with-nobody"
     assert not (predictions / FOUND).exists()
     assert read_found(predictions).empty
-    assert found_by(rig_run, ["with-nobody"], 0) == {}
-    told = outcomes_of(rig_run, ["with-nobody"], [0])
-    assert told["with-nobody", 0] == broken
-    assert (backbone / BACKBONE).exists()
+    assert list(found_by(rig_run, ["with-nobody", "native"], 0)) == ["native"]
 
 
 def test_a_loss_that_is_no_number_is_a_reason(rig_run, rig_scene, tmp_path):
@@ -111,8 +110,8 @@ def test_a_loss_that_is_no_number_is_a_reason(rig_run, rig_scene, tmp_path):
     train_setting([rig_scene], "native", wild, 0, backbone, tmp_path / "w", tmp_path / "out")
     outcome = Outcome.read(tmp_path / "out")
     assert "at step" in outcome.reason
-    find_setting([rig_scene], "native", tmp_path / "out", tmp_path / "found")
-    assert Outcome.read(tmp_path / "found").reason == outcome.reason
+    find_settings([rig_scene], {"native": tmp_path / "out"}, tmp_path / "found")
+    assert Outcome.read(tmp_path / "found/native").reason == outcome.reason
 
 
 def test_scenes_without_labels_fail_in_one_sentence(rig_scene, tmp_path):
@@ -126,8 +125,9 @@ def test_scenes_without_labels_fail_in_one_sentence(rig_scene, tmp_path):
     assert Outcome.read(tmp_path / "out").reason == f"its backbone failed: {reason}"
     (tmp_path / "fine").mkdir()
     Outcome().write(tmp_path / "fine")
-    find_setting([rig_scene], "native", tmp_path / "fine", tmp_path / "found")
-    assert "no label of 1 scenes to test on counts" in Outcome.read(tmp_path / "found").reason
+    find_settings([rig_scene], {"native": tmp_path / "fine"}, tmp_path / "found")
+    reason = Outcome.read(tmp_path / "found/native").reason
+    assert "no label of 1 scenes to test on counts" in reason
 
 
 def test_weights_that_are_not_here_are_a_reason(rig_scene, tmp_path):

@@ -4,7 +4,6 @@
 
 import re
 
-from geoevs.detection.task_rows import RECORDED
 from geoevs.detection.training_settings import NATIVE, settings_with, views_label
 from geoevs.protocol.entries import TRUTH
 
@@ -47,8 +46,8 @@ def of_detection(pattern, scenes=DETECTION_SCENES):
 
 
 def pictures_of(label, scenes):
-    """What holds an entrant's pictures of some scenes; nothing of what was recorded."""
-    if label in (None, RECORDED):
+    """What holds an entrant's pictures of some scenes; nothing where there is none."""
+    if label is None:
         return []
     if label == TRUTH:
         return of_detection(layout.DETECTION_TRUTH, scenes)
@@ -71,13 +70,13 @@ def run_of(pattern):
     return lambda wildcards, output: Path(output[0]).parents[pattern.count("/")]
 
 
-def shown_to(scenes):
-    """A function for inputs: all that detectors of a setting see of some scenes."""
-    return lambda wildcards: [
+def shown_to(labels, scenes):
+    """All that detectors see of some scenes, pictures of these entrants among it."""
+    return [
         *of_detection(layout.SCENE, scenes),
         *of_detection(layout.DETECTION_LABELS, scenes),
         *of_detection(layout.DETECTION_TARGETS, scenes),
-        *pictures_of(views_label(wildcards.setting), scenes),
+        *(path for label in labels for path in pictures_of(label, scenes)),
     ]
 
 
@@ -213,7 +212,7 @@ rule detection_backbone:
 
 rule detection_train:
     input:
-        shown_to(DETECTION_TRAIN),
+        lambda wildcards: shown_to([views_label(wildcards.setting)], DETECTION_TRAIN),
         backbone=in_run(layout.DETECTION_BACKBONE),
     output:
         directory(in_run(layout.DETECTOR)),
@@ -239,13 +238,16 @@ rule detection_train:
 
 rule detection_find:
     input:
-        shown_to(DETECTION_TEST),
-        detector=in_run(layout.DETECTOR),
+        shown_to(DETECTION_ENTRIES, DETECTION_TEST),
+        lambda wildcards: [
+            in_run(layout.DETECTOR).format(setting=setting, seed=wildcards.seed)
+            for setting in SETTINGS
+        ],
     output:
         found=directory(in_run(layout.PREDICTIONS)),
         counts=in_run(layout.DETECTION_COUNT_PART),
     log:
-        in_run("logs/detection/find/{setting}.seed{seed}.log"),
+        in_run("logs/detection/find/seed{seed}.log"),
     resources:
         mem_mb=memory("train", detection_scenes),
         runtime=within("render"),
@@ -253,23 +255,17 @@ rule detection_find:
     params:
         run=run_of(layout.PREDICTIONS),
         scenes=scene_list(DETECTION_TEST),
-        code=code_hash(
-            "geoevs.detection.detectors",
-            "geoevs.detection.setting_counts",
-        ),
+        labels=DETECTION_LABELS_OF,
+        code=code_hash("geoevs.detection.detectors", "geoevs.detection.setting_counts"),
     shell:
         "geoevs --log {log:q} detection-find --run {params.run:q} {params.scenes}"
-        " --setting {wildcards.setting:q} --seed {wildcards.seed}"
-        " --counts {output.counts:q} --out {output.found:q}"
+        " --labels {params.labels:q} --seed {wildcards.seed} --counts {output.counts:q}"
+        " --out {output.found:q}"
 
 
 rule detection_counts:
     input:
-        expand(
-            in_run(layout.DETECTION_COUNT_PART),
-            setting=SETTINGS,
-            seed=DETECTION_SEEDS,
-        ),
+        expand(in_run(layout.DETECTION_COUNT_PART), seed=DETECTION_SEEDS),
     output:
         in_run(layout.DETECTION_COUNTS),
     log:
@@ -282,47 +278,32 @@ rule detection_counts:
 
 rule task_offsets:
     input:
-        of_detection(layout.SCENE, DETECTION_TEST),
-        of_detection(layout.DETECTION_LABELS, DETECTION_TEST),
-        of_detection(layout.DETECTION_TARGETS, DETECTION_TEST),
-        lambda wildcards: pictures_of(wildcards.label, DETECTION_TEST),
+        shown_to(DETECTION_ENTRIES, DETECTION_TEST),
         expand(in_run(layout.DETECTOR), setting=NATIVE, seed=DETECTION_SEEDS),
     output:
-        in_run(layout.TASK_PART),
+        in_run(layout.TASK_ROWS),
     log:
-        in_run("logs/detection/offsets/{label}.log"),
+        in_run("logs/detection/offsets.log"),
     resources:
         mem_mb=memory("train", detection_scenes),
         runtime=within("render"),
         gpu=GPU,
     params:
-        run=run_of(layout.TASK_PART),
+        run=run_of(layout.TASK_ROWS),
         scenes=scene_list(DETECTION_TEST),
+        labels=DETECTION_LABELS_OF,
         seeds=with_option("--seeds", DETECTION_SEEDS),
         settings=detection_section("offsets"),
         code=code_hash("geoevs.detection.detectors", "geoevs.detection.task_rows"),
     shell:
         "geoevs --log {log:q} task-offsets --run {params.run:q} {params.scenes}"
-        " --label {wildcards.label:q} --settings {params.settings:q} {params.seeds}"
+        " --labels {params.labels:q} --settings {params.settings:q} {params.seeds}"
         " --out {output:q}"
-
-
-rule task_rows:
-    input:
-        expand(in_run(layout.TASK_PART), label=[RECORDED, *DETECTION_ENTRIES]),
-    output:
-        in_run(layout.TASK_ROWS),
-    log:
-        in_run("logs/detection/offsets.log"),
-    params:
-        code=code_hash("geoevs.core.parquet"),
-    shell:
-        COLLECT
 
 
 rule detection_tables:
     input:
-        expand(in_run(layout.PREDICTIONS), setting=SETTINGS, seed=DETECTION_SEEDS),
+        expand(in_run(layout.PREDICTIONS), seed=DETECTION_SEEDS),
         counts=in_run(layout.DETECTION_COUNTS),
         offsets=in_run(layout.TASK_ROWS),
         entrants=in_run(layout.ENTRANTS),
@@ -349,7 +330,7 @@ rule detection_figure:
     input:
         of_detection(layout.SCENE, DETECTION_TEST[:1]),
         of_detection(layout.DETECTION_LABELS, DETECTION_TEST[:1]),
-        expand(in_run(layout.PREDICTIONS), setting=SETTINGS, seed=DETECTION_SEEDS[0]),
+        expand(in_run(layout.PREDICTIONS), seed=DETECTION_SEEDS[:1]),
     output:
         in_run(layout.DETECTION_FIGURE),
     log:

@@ -51,7 +51,6 @@ localrules:
     stability_tables,
     stability_chart,
     detection_counts,
-    task_rows,
     detection_tables,
     install_weights,
 
