@@ -72,12 +72,14 @@ def detection_targets(
 ) -> None:
     """List the views that detectors are shown, and write the store that methods are given."""
     from geoevs.detection.views import moved_rig, views_between, write_without_boxes
+    from geoevs.protocol.provenance import targets_stamp
     from geoevs.protocol.targets import write_targets
     from geoevs.scenes.store import Scene
 
     store, asked = Scene(scene), _settings(settings)
     views = views_between(store, asked.views)
-    write_targets(out, [*views, *(moved_rig(store, asked.offsets) if moved else [])])
+    views += moved_rig(store, asked.offsets) if moved else []
+    write_targets(out, views, targets_stamp(store, parse_json("--settings", settings), 0))
     write_without_boxes(given, store)
 
 

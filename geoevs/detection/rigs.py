@@ -9,7 +9,9 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.hashes import file_hash
 from geoevs.core.images import read_image, to_float
+from geoevs.core.stamps import MADE_WITH, check_stamp
 from geoevs.detection.bevformer.inputs import RigFrame
 from geoevs.detection.labels import read_labels, world_from_vehicle
 from geoevs.detection.rows import BOX
@@ -19,6 +21,7 @@ from geoevs.detection.training_settings import BLIND, views_label
 from geoevs.detection.views import BETWEEN, OFFSET
 from geoevs.protocol.entries import FAILED, TRUTH, read_outcomes
 from geoevs.protocol.pictures import read_view
+from geoevs.protocol.provenance import made_with
 from geoevs.protocol.targets import ALL_CAMERAS, Target, read_targets
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
@@ -46,8 +49,14 @@ class DetectionScene:
 
     @cached_property
     def targets(self) -> list[Target]:
-        """All views that entrants render of it."""
-        return read_targets(self._path(layout.DETECTION_TARGETS))
+        """All views that entrants render of it.
+
+        Raises:
+            GeoEvsError: they are missing, damaged, or of another scene.
+        """
+        path = self._path(layout.DETECTION_TARGETS)
+        check_stamp(path, made_with(path), {"scene": self.store.stamp})
+        return read_targets(path)
 
     def frames(self, setting: str) -> Iterator[RigFrame]:
         """Every frame as detectors of a setting see it.
@@ -105,12 +114,15 @@ class DetectionScene:
         """(H, W, 3) float32 in [0, 1] each: what an entrant, or the truth, shows of some views.
 
         Raises:
-            GeoEvsError: one is missing; the sentence says why.
+            GeoEvsError: one is missing, or is of other targets; the sentence says why.
         """
         if label == TRUTH:
             return [self._truth(view) for view in views]
         folder = self._path(layout.DETECTION_VIEWS, label=label)
-        outcome = read_outcomes(folder / "render.json")[ALL_CAMERAS]
+        path, targets = folder / "render.json", self._path(layout.DETECTION_TARGETS)
+        outcome = read_outcomes(path)[ALL_CAMERAS]
+        expected = {"scene": self.store.stamp, "targets": file_hash(targets)}
+        check_stamp(path, outcome.get(MADE_WITH), expected)
         found = []
         for view in views:
             image, told = read_view(folder, view, outcome)

@@ -6,7 +6,8 @@ import pytest
 
 from geoevs import layout
 from geoevs.core.errors import GeoEvsError
-from geoevs.core.files import write_json
+from geoevs.core.files import read_json, write_json
+from geoevs.core.stamps import MADE_WITH
 from geoevs.detection.rows import BOX, PREDICTION_TYPES
 from geoevs.detection.setting_counts import count_setting
 from geoevs.detection.task_rows import RECORDED, task_rows
@@ -15,7 +16,7 @@ from geoevs.methods.tiny import tiny_truth
 from geoevs.projection import project_points
 from geoevs.protocol.entries import failed
 from geoevs.protocol.targets import ALL_CAMERAS
-from tests.detection.conftest import COSTS, OFFSETS, PLACE, grey_views
+from tests.detection.conftest import COSTS, OFFSETS, PLACE, grey_views, stamp
 
 
 def test_recorded_views_come_first_and_project_the_labelled_car(rig_scene):
@@ -61,10 +62,19 @@ def test_missing_pictures_are_one_sentence(rig_run, rig_scene):
     ):
         list(rig_scene.frames("with-gaps"))
     folder = rig_run / layout.DETECTION_VIEWS.format(**PLACE, label="broken")
-    outcome = failed("fit", "no memory", "fit.log") | COSTS
+    outcome = failed("fit", "no memory", "fit.log") | COSTS | {MADE_WITH: stamp(rig_run)}
     write_json(folder / "render.json", {ALL_CAMERAS: outcome})
     with pytest.raises(GeoEvsError, match=r"d/tiny: fit: no memory \(see fit.log\)"):
         list(rig_scene.frames("with-broken"))
+
+
+def test_pictures_of_other_targets_are_refused(rig_run, rig_scene):
+    folder = grey_views(rig_run, "stale", 51)
+    told = read_json(folder / "render.json")
+    told[ALL_CAMERAS][MADE_WITH]["targets"] = "others"
+    write_json(folder / "render.json", told)
+    with pytest.raises(GeoEvsError, match=r"render.json was made with other targets than this run"):
+        list(rig_scene.frames("with-stale"))
 
 
 def test_where_nobody_knows_the_truth_it_is_one_sentence(rig_scene, monkeypatch):

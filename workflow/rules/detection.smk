@@ -9,6 +9,7 @@ wildcard_constraints:
 
 rule detection_targets:
     input:
+        recorded(layout.DETECTION_TARGETS, detection_targets_made_with),
         scene=in_run(layout.SCENE),
     output:
         targets=in_run(layout.DETECTION_TARGETS),

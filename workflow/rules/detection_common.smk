@@ -1,17 +1,19 @@
 # What the rules of table 3 expand over, and what their commands are given.
 import re
 
+from geoevs.detection.settings import DetectionSettings
 from geoevs.detection.training_settings import NATIVE, settings_with, views_label
 from geoevs.protocol.entries import TRUTH
 
 DETECTION = config["detection"]
+DETECTED = DetectionSettings.parse(DETECTION)
 DETECTION_TRAIN = partition_scenes(config, "detection", config["datasets"])
 DETECTION_TEST = partition_scenes(config, "detection-test", config["datasets"])
 DETECTION_SCENES = [*DETECTION_TRAIN, *DETECTION_TEST]
 # The main run's entrants, with the section's options.
 DETECTION_ENTRIES = {entry.label: entry for entry in detection_entries(config)}
 SETTINGS = settings_with(list(DETECTION_ENTRIES))
-DETECTION_SEEDS = [config["seed"] + n for n in range(DETECTION.get("seeds", 3))]
+DETECTION_SEEDS = [config["seed"] + n for n in range(DETECTED.seeds)]
 DETECTION_LABELS_OF = json.dumps(
     {label: [entry.method, entry.variant] for label, entry in DETECTION_ENTRIES.items()}
 )
@@ -23,9 +25,8 @@ DETECTION_FILES = [
 
 
 def detection_section(*keys):
-    """The config's section, or some of its keys, as JSON: what a job depends on."""
-    chosen = keys or [key for key in DETECTION if key != "methods"]
-    return json.dumps({key: DETECTION[key] for key in chosen if key in DETECTION})
+    """Some keys of the config's section as JSON: what a job depends on."""
+    return json.dumps({key: DETECTION[key] for key in keys if key in DETECTION})
 
 
 def moved_too(wildcards):
@@ -58,8 +59,7 @@ def detection_scenes(wildcards):
 
 def backbone_hash(wildcards):
     """Hash of the weights that a pretrained backbone is made of, which no rule makes."""
-    kind = DETECTION.get("detector", {}).get("backbone", "cnn")
-    return content_hash(f"{WEIGHTS_FOLDER}/{kind}.safetensors")
+    return content_hash(f"{WEIGHTS_FOLDER}/{DETECTED.detector.backbone}.safetensors")
 
 
 def run_of(pattern):
