@@ -87,7 +87,11 @@ def test_a_query_looks_on_rings_first():
 
 def test_looks_into_a_bev_are_their_twin(random):
     look = shaken(BevAttention(8, (3, 4)), random)
-    query, reference, bev = (drawn(random, 2, 5, 8), drawn(random, 2, 5, 2), drawn(random, 2, 12, 8))
+    query, reference, bev = (
+        drawn(random, 2, 5, 8),
+        drawn(random, 2, 5, 2),
+        drawn(random, 2, 12, 8),
+    )
     with torch.no_grad():
         got = look(query, reference, bev)
         values = look.values(bev, (3, 4)).numpy()
@@ -149,11 +153,13 @@ def grid_places():
     return torch.from_numpy(np.stack([x, y], axis=-1).reshape(-1, 2))
 
 
-def moved_past(bev, turn=np.eye(2), shift=(0.0, 0.0)):
+def moved_past(bev, turn=((1, 0), (0, 1)), shift=(0.0, 0.0)):
     """A past whose places are those of the present turned, then shifted by shares of the BEV."""
-    affine = torch.from_numpy(np.concatenate([turn, np.array(shift)[:, None]], axis=1))
+    affine = torch.from_numpy(np.concatenate([turn, np.array(shift)[:, None]], axis=1).astype(float))
     motion = bev.new_zeros(len(bev), 4)
-    return Past(bev, torch.ones(len(bev), dtype=torch.bool), affine.expand(len(bev), -1, -1), motion)
+    return Past(
+        bev, torch.ones(len(bev), dtype=torch.bool), affine.expand(len(bev), -1, -1), motion
+    )
 
 
 def test_a_still_world_looks_the_same_after_the_vehicle_moved(random):
@@ -169,7 +175,9 @@ def test_a_still_world_looks_the_same_after_the_vehicle_moved(random):
         gone = attention(query, position, grid_places(), moved)
         wrong = attention(query, position, grid_places(), moved_past(before))
     inner = (slice(None), slice(None), slice(4, COLUMNS - 5))
-    still, gone, wrong = (part.unflatten(1, (ROWS, COLUMNS))[inner] for part in (still, gone, wrong))
+    still, gone, wrong = (
+        part.unflatten(1, (ROWS, COLUMNS))[inner] for part in (still, gone, wrong)
+    )
     np.testing.assert_allclose(gone, still, atol=1e-12)
     assert (wrong - still).abs().max() > 0.01
 
