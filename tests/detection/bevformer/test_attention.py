@@ -155,7 +155,9 @@ def grid_places():
 
 def moved_past(bev, turn=((1, 0), (0, 1)), shift=(0.0, 0.0)):
     """A past whose places are those of the present turned, then shifted by shares of the BEV."""
-    affine = torch.from_numpy(np.concatenate([turn, np.array(shift)[:, None]], axis=1).astype(float))
+    affine = torch.from_numpy(
+        np.concatenate([turn, np.array(shift)[:, None]], axis=1).astype(float)
+    )
     motion = bev.new_zeros(len(bev), 4)
     return Past(
         bev, torch.ones(len(bev), dtype=torch.bool), affine.expand(len(bev), -1, -1), motion
