@@ -4,7 +4,6 @@ import re
 from contextlib import contextmanager
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,7 +20,6 @@ from geoevs.detection.bevformer.network import load_bevformer, save_bevformer
 from geoevs.detection.bevformer.settings import Fitting
 from geoevs.detection.bevformer.training import DetectorTask, train, train_backbone
 from geoevs.detection.rows import PREDICTION_TYPES, read_predictions
-from geoevs.detection.task_metrics import image_boxes
 
 FITTING = Fitting(steps=4, learning_rate=1e-3, backbone_steps=3)
 
@@ -237,37 +235,3 @@ def test_detection_refuses_what_it_cannot_use(frames, cached, weights, tmp_path)
         detect(weights(), frames[::-1])
     with pytest.raises(GeoEvsError, match="is missing"):
         detect(tmp_path / "none.safetensors", frames)
-
-
-def painted(make_frame, scene, seed):
-    """A frame of grey cameras in which one or two cars are bright boxes."""
-    random = np.random.default_rng(seed)
-    frame = make_frame(scene=scene)
-    count = random.integers(1, 3)
-    boxes = np.zeros((count, 7))
-    boxes[:, 0], boxes[:, 1] = random.uniform(3, 18, count), random.uniform(-9, 9, count)
-    boxes[:, 2:6] = 0.8, 4.2, 1.8, 1.6
-    images = np.full(frame.images.shape, 0.3, np.float32)
-    for image, projection in zip(images, frame.image_from_vehicle, strict=True):
-        for left, top, right, bottom in image_boxes(boxes, projection, *frame.size):
-            if right > left:
-                corners = [(int(left), int(top)), (int(right), int(bottom))]
-                cv2.rectangle(image, *corners, (0.9, 0.8, 0.2), -1)
-    return replace(frame, images=images, boxes=boxes, classes=np.zeros(count, int))
-
-
-@pytest.mark.slow
-def test_it_learns_where_bright_boxes_are(make_frame, detector, backbone, tmp_path):
-    frames = [painted(make_frame, f"street-{n}", n) for n in range(8)]
-    fitting = Fitting(steps=300, learning_rate=4e-3, end_to_end=True)
-    out = tmp_path / "detector.safetensors"
-    train(frames, backbone, replace(detector, channels=8), fitting, 0, tmp_path, out)
-    losses = pd.read_csv(tmp_path / "losses.csv")
-    assert losses["loss"].tail(20).mean() < 0.5 * losses["loss"].head(20).mean()
-    rows = detect(out, frames)
-    for frame in frames:
-        mine = rows[rows["scene"] == frame.scene]
-        centres = mine[["x", "y"]].to_numpy()
-        near = np.linalg.norm(centres[:, None] - frame.boxes[:, :2], axis=-1)
-        found = (near < 2).any(axis=1)
-        assert mine["score"][found].max() > mine["score"][~found].max() or found.all()
