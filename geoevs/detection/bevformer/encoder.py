@@ -104,7 +104,7 @@ class Views(NamedTuple):
 
 
 class EncoderLayer(nn.Module):
-    """Temporal self-attention, spatial cross-attention and a feed-forward, each added and normed."""
+    """Looks into the past and the pictures, and a feed-forward, each added and normed."""
 
     def __init__(self, detector: Detector, size: tuple[int, int]) -> None:
         super().__init__()

@@ -59,7 +59,7 @@ def draw_map(
     bounds: Sequence[float],
     height: int,
 ) -> np.ndarray:
-    """(height, W, 3) uint8: boxes from above, ahead being up, a line from each centre to its front."""
+    """(height, W, 3) uint8: boxes from above, ahead being up; a line goes to each front."""
     scale = height / (bounds[3] - bounds[0])
     image = np.full((height, round(scale * (bounds[4] - bounds[1])), 3), GROUND, np.uint8)
 
