@@ -135,7 +135,7 @@ def detection_stage_table(
     redrawn = settings if scenes * len(seeds) > 1 else None
     rows, drawn = [], {}
     for place, name in enumerate(names):
-        row = NO_SIZES | _about(name, [outcomes[name, seed] for seed in seeds], entries, entrants)
+        row = _about(name, [outcomes[name, seed] for seed in seeds], entries, entrants) | NO_SIZES
         if not row["failed"] and sums:
             numbers = {rules: of[place] for rules, of in sums.items()}
             drawn[name] = _values(numbers, draws)

@@ -175,7 +175,7 @@ class Backbone(nn.Module):
 
 
 def new_backbone(detector: Detector, seed: int) -> Backbone:
-    """An untrained `cnn`."""
+    """An untrained backbone of the kind `cnn`."""
     with seeded(seed, "detector", "backbone"):
         return Backbone("cnn", detector.channels)
 
