@@ -38,6 +38,8 @@ include: "workflow/rules/charts.smk"
 include: "workflow/rules/stability_common.smk"
 include: "workflow/rules/stability.smk"
 include: "workflow/rules/audit.smk"
+include: "workflow/rules/detection_common.smk"
+include: "workflow/rules/detection.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/pretrain.smk"
 

@@ -23,6 +23,7 @@ SLOW = (
     "baselines/street_gaussians/test_adapter.py",
     "baselines/three_dgs/test_adapter.py",
     "config/test_snakemake.py",
+    "detection/bevformer/test_learning.py",
     "generator/test_task.py",
     "geometry/test_depth_loss.py",
     "geometry/test_finetuning.py",

@@ -32,6 +32,7 @@ COMMANDS = (
     "outcomes",
     "adapters",
     "detection",
+    "detection_stage",
     "sources",
 )
 FOR_PEOPLE = (

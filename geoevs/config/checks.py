@@ -10,6 +10,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.validators import extend
 
 from geoevs.config.datasets import check_datasets
+from geoevs.config.detection import check_detection
 from geoevs.config.entrants import method_entries, stability_entries
 from geoevs.config.methods import check_method_options, check_methods
 from geoevs.config.partitions import partition_scenes
@@ -49,6 +50,13 @@ POSES: tuple[Key, ...] = (
 )
 """Lists whose values are parts of the names of files: of targets, masks and stresses."""
 
+DETECTION_POSES: tuple[Key, ...] = (
+    ("detection", "views", "shares"),
+    ("detection", "views", "lateral"),
+    ("detection", "offsets"),
+)
+"""Likewise, where the section is as `check_detection` wants it."""
+
 
 def check_config(
     config: Mapping[str, Any],
@@ -87,12 +95,14 @@ def check_config(
         raise GeoEvsError(f"{place}: {problem}")
     _check_imports(config)
     check_datasets(config, origins)
-    _check_poses(config, origins)
+    _check_poses(config, origins, POSES)
     _check_masks(config, origins)
     _check_geometry(config, origins)
     check_trainings(config, origins)
     check_methods(config, origins)
     _check_stability(config, origins)
+    check_detection(config, origins)
+    _check_poses(config, origins, DETECTION_POSES)
     _check_tables(config, origins)
 
 
@@ -137,12 +147,12 @@ def _check_imports(config: Mapping[str, Any]) -> None:
     )
 
 
-def _check_poses(config: Mapping[str, Any], origins: Sequence[Origin]) -> None:
+def _check_poses(config: Mapping[str, Any], origins: Sequence[Origin], keys: Sequence[Key]) -> None:
     """Shifts, angles and levels name files, by the six digits that `g` writes of them."""
-    for key in POSES:
+    for key in keys:
         values: Any = config
         for part in key:
-            values = values.get(part, ())
+            values = values.get(part, {})
         named: dict[str, float] = {}
         for value in values:
             other = named.setdefault(f"{value:g}", value)

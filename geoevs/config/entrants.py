@@ -27,7 +27,16 @@ def method_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
 
 def stability_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
     """The entrants of the stability suite: the first seed of each, with the suite's options."""
-    wanted = config["stability"]["methods"]
+    return _entries_of("stability", config)
+
+
+def detection_entries(config: Mapping[str, Any]) -> list[MethodEntry]:
+    """Whose views detectors are shown: the first seed of each, with the section's options."""
+    return _entries_of("detection", config)
+
+
+def _entries_of(section: str, config: Mapping[str, Any]) -> list[MethodEntry]:
+    wanted = config[section]["methods"]
     entries: dict[str, MethodEntry] = {}
     for entry in method_entries(config):
         changed = wanted.get(entry.name)

@@ -20,7 +20,8 @@ class Pairs:
 
     Args:
         iou: (N, M) float32, 0 of different classes; without errors along the line of sight where
-            the rules tolerate them.
+            the rules tolerate them. Under rules of distance, 1 - distance / the most allowed, from
+            0 on.
         affinity: (N, M) float32, 1 where the rules tolerate none.
         heading: (N, M) float64, the heading accuracy: 1 - |difference| / pi.
         may_match: (N, M) bool.
@@ -50,6 +51,11 @@ def pair_up(predictions: Predictions, truths: Truths, rules: Rules) -> Pairs:
     a threshold counts in both.
     """
     same = predictions.classes[:, None] == truths.classes
+    heading = heading_accuracies(predictions.boxes[:, None, 6], truths.boxes[:, 6])
+    if rules.distance is not None:
+        apart = np.hypot(*(predictions.boxes[:, None, :2] - truths.boxes[:, :2]).transpose(2, 0, 1))
+        near = np.where(same, np.maximum(1 - apart / rules.distance, 0), 0).astype(np.float32)
+        return Pairs(near, np.ones_like(near), heading, near > 0)
     if rules.tolerance is None:
         boxes = np.broadcast_to(predictions.boxes[:, None], (*same.shape, 7))
         affinity = np.ones(same.shape)
@@ -61,7 +67,6 @@ def pair_up(predictions: Predictions, truths: Truths, rules: Rules) -> Pairs:
     iou[same] = iou_3d(boxes[same], truths.boxes[truth])
     iou, affinity = iou.astype(np.float32), affinity.astype(np.float32)
     least = np.array(rules.thresholds, np.float32)[truths.classes]
-    heading = heading_accuracies(predictions.boxes[:, None, 6], truths.boxes[:, 6])
     return Pairs(iou, affinity, heading, same & (affinity > 0) & (iou >= least))
 
 

@@ -35,6 +35,10 @@ its `level`, 1 or 2 as annotated, 0 if its points decide."""
 MOST_TURNS = 2
 """Full turns of a heading, at most; more are degrees."""
 
+NO_CLASS, NO_POINTS, UNSEEN = "of no known class", "without LiDAR points", "seen by no camera"
+LEFT_OUT = (NO_CLASS, NO_POINTS, UNSEEN)
+"""Why a truth does not count, the first that applies."""
+
 FRAME = ["scene", "frame"]
 """Columns that say which frame a box is of."""
 
@@ -126,17 +130,10 @@ def scored_truths(
     Raises:
         GeoEvsError: none is left.
     """
-    reasons = {
-        "of no known class": truths["class"] == "",
-        "without LiDAR points": truths["points"] <= 0,
-    }
-    if rules.tolerance is not None:
-        reasons["seen by no camera"] = truths["camera"] == ""
-    left, counts = pd.Series(True, index=truths.index), {}
-    for reason, applies in reasons.items():
-        counts[reason] = int((left & applies).sum())
-        left &= ~applies
-    counts = {reason: count for reason, count in counts.items() if count}
+    reasons = why_left_out(truths, rules)
+    left = reasons == ""
+    found = reasons.value_counts()
+    counts = {reason: int(found[reason]) for reason in LEFT_OUT if reason in found}
     if not left.any():
         why = " and ".join(f"{count} {reason}" for reason, count in counts.items())
         raise GeoEvsError(
@@ -144,8 +141,27 @@ def scored_truths(
             "classes, points and cameras as docs/detection.md says"
         )
     kept = truths[left]
-    level = np.where(kept["points"] <= MOST_POINTS_OF_LEVEL_2, LEVEL_2, LEVEL_1)
+    level = level_by_points(kept["points"].to_numpy())
     return kept.assign(level=kept["level"].where(kept["level"] > 0, level)), counts
+
+
+def why_left_out(truths: pd.DataFrame, rules: Rules) -> pd.Series:
+    """The first of LEFT_OUT by which each truth does not count; empty for those that do.
+
+    Args:
+        truths: rows with `class`, `points` and `camera` of TRUTH_TYPES.
+        rules: for whose metrics.
+    """
+    applies = {NO_CLASS: truths["class"] == "", NO_POINTS: truths["points"] <= 0}
+    if rules.tolerance is not None:
+        applies[UNSEEN] = truths["camera"] == ""
+    reasons = np.select(list(applies.values()), list(applies), default="")
+    return pd.Series(reasons, index=truths.index, dtype=object)
+
+
+def level_by_points(points: np.ndarray) -> np.ndarray:
+    """(N,) int64: the level of boxes with so many LiDAR points, unless somebody decided it."""
+    return np.where(points <= MOST_POINTS_OF_LEVEL_2, LEVEL_2, LEVEL_1)
 
 
 def check_frames(

@@ -15,8 +15,12 @@ from geoevs.protocol.targets import without_usual
 from geoevs.run import Answers
 from geoevs.scenes.store import Scene
 
-TARGET_SETTINGS = ("lateral", "every", "pose_sweep", "masked", "levels")
-"""The keys of the config's protocol and stability sections that targets are made with."""
+TARGET_SETTINGS = (
+    *("lateral", "every", "pose_sweep", "masked", "levels"),
+    *("views", "offsets"),  # of detection
+)
+"""The keys of the config's protocol, stability and detection sections that targets are made with.
+"""
 
 
 def scene_stamp(

@@ -31,6 +31,7 @@ SPLITS = (
     *RECORDED_SPLITS,
     *("extrapolation", f"{MASKED}extrapolation", "pose-sweep"),
     *("lateral", "yaw"),  # of stability
+    *("detection", "rig-offset"),  # of detection
 )
 TARGET_FIELDS = (
     *("split", "frame", "name", "sources", "pose_offset", "lateral_shift"),
@@ -48,8 +49,7 @@ class Target:
     """One view to synthesise.
 
     Args:
-        split: `observed`, `interpolation`, `extrapolation`, `pose-sweep`, `masked-observed` or
-            `masked-extrapolation`.
+        split: one of SPLITS.
         frame: the instant.
         camera: its calibration; `camera.name` names the target within the frame.
         sources: the set of source cameras, ALL_CAMERAS or FRONT_SIDE.

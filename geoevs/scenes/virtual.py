@@ -6,15 +6,24 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import Camera
 
 
-def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, name: str) -> Camera:
+def virtual_camera(
+    front: Camera,
+    side: Camera,
+    angle: float,
+    lateral: float,
+    name: str,
+    ego: Camera | None = None,
+) -> Camera:
     """A camera between the front one and a side one, shifted sideways (paper section 4.3).
 
     Args:
-        front: gives the intrinsics, pitch and roll, and the ego heading.
+        front: gives the intrinsics, pitch and roll.
         side: the front-side camera to turn towards.
         angle: yaw in degrees from the front camera towards the side one.
-        lateral: metres to the left, horizontal and perpendicular to the heading.
+        lateral: metres to the left, horizontal and perpendicular to the ego heading.
         name: the new camera's name.
+        ego: the camera that looks along the ego heading; None: the front one. Between two side
+            cameras it is another one.
 
     Returns:
         A camera whose centre lies on the line between the two at the same fraction as its yaw.
@@ -39,12 +48,17 @@ def virtual_camera(front: Camera, side: Camera, angle: float, lateral: float, na
     rotation = np.array(
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
-    heading = front.optical_axis[:2] / np.linalg.norm(front.optical_axis[:2])
-    left = np.array([-heading[1], heading[0], 0.0])
+    left = left_of(front if ego is None else ego)
     pose = np.eye(4)
     pose[:3, :3] = rotation @ front.world_from_camera[:3, :3]
     pose[:3, 3] = (1 - fraction) * front.centre + fraction * side.centre + lateral * left
     return Camera(front.K, pose, front.height, front.width, name)
+
+
+def left_of(ego: Camera) -> np.ndarray:
+    """(3,) unit vector to the left of a camera's horizontal heading, in the world."""
+    heading = ego.optical_axis[:2] / np.linalg.norm(ego.optical_axis[:2])
+    return np.array([-heading[1], heading[0], 0.0])
 
 
 def yaw_gap(front: Camera, side: Camera) -> float:

@@ -63,6 +63,7 @@ stability:
     {support: [0.02], beams: [], rotation: [], translation: [], cameras: [], exposure: [],
      motion: [], lateral: [], yaw: [], edges: []}
   methods: {reproject-inpaint.best: {inpaint: telea}}
+detection: {methods: {}}
 """
 
 

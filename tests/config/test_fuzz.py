@@ -18,7 +18,7 @@ from snakemake.common.configfile import load_configfile
 from snakemake.utils import update_config
 
 from geoevs.config.checks import check_config
-from geoevs.config.entrants import method_entries, stability_entries
+from geoevs.config.entrants import detection_entries, method_entries, stability_entries
 from geoevs.config.files import read_nodes
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.trainings import training_settings
@@ -199,6 +199,17 @@ RULES = {
         lambda value: value is None or (isinstance(value, dict) and finite(value)),
     ),
     ("stability", "methods", "*", "*", ..., "?"): like,
+    **each(("detection", "views", "shares"), number(0.001, 0.999)),
+    **each(("detection", "views", "lateral"), SHIFT),
+    **each(("detection", "offsets"), lambda value: SHIFT(value) and value != 0, 0),
+    ("detection", "seeds"): whole(1, 100),
+    ("detection", "longer"): number(1, 100),
+    **{("detection", part, ..., "?"): like for part in ("classes", "detector", "training")},
+    ("detection", "methods", "*"): named(
+        DEFAULTS["methods"].keys() - {"reference"},
+        lambda value: value is None or (isinstance(value, dict) and finite(value)),
+    ),
+    ("detection", "methods", "*", "*", ..., "?"): like,
     ("tables", "ablation"): lambda value: text(value) and value in METHODS,
     **each(("tables", "pose_bins"), number(-(10**6), 10**6), 2),
     **each(("tables", "support_bins"), number(-(10**6), 10**6), 2),
@@ -255,12 +266,13 @@ def try_config(text: str | bytes, before: str = "") -> str:
 
 def use(config: Any) -> None:
     """What the rules do with an accepted config."""
-    entries = method_entries(config) + stability_entries(config)
+    entries = method_entries(config) + stability_entries(config) + detection_entries(config)
     for entry in entries:
         assert "/" not in entry.label
         if entry.training:
             json.dumps(training_settings(config, entry.training), allow_nan=False)
-    for partition in ("test", "train", "clips", "geometry", "pretrain"):
+    partitions = ("test", "train", "clips", "geometry", "pretrain", "detection", "detection-test")
+    for partition in partitions:
         partition_scenes(config, partition, config["datasets"])
     json.dumps(config, allow_nan=False).encode()
 

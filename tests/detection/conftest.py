@@ -6,8 +6,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geoevs import layout
+from geoevs.core.files import write_json
+from geoevs.core.hashes import file_hash
+from geoevs.core.images import write_image
+from geoevs.core.parquet import write_parquet
+from geoevs.core.stamps import MADE_WITH
 from geoevs.detection.frames import Predictions, Truths
+from geoevs.detection.labels import scene_labels
+from geoevs.detection.rigs import DetectionScene
 from geoevs.detection.rules import CLASSES
+from geoevs.detection.views import ViewSettings, moved_rig, views_between
+from geoevs.methods.tiny import tiny_truth, write_tiny_scene
+from geoevs.protocol.entries import FINE
+from geoevs.protocol.pictures import PICTURES, seal_pictures
+from geoevs.protocol.provenance import targets_stamp
+from geoevs.protocol.targets import ALL_CAMERAS, read_targets, write_targets
+from geoevs.scenes.scene import SceneExtras
+from geoevs.scenes.store import Scene
 
 BOX = {"x": 1, "y": 2, "z": 3, "width": 4, "length": 5, "height": 6, "heading": 7}
 """The numbers of label.proto."""
@@ -94,3 +110,54 @@ def street():
     boxes = np.array([(x, y, 0.9, *sides[n], headings[n]) for n, (x, y) in enumerate(places)])
     names = ["vehicle"] * 4 + ["pedestrian"] * 2 + ["cyclist"]
     return boxes, names
+
+
+PLACE = {"dataset": "d", "scene": "tiny"}
+OFFSETS = (-1.0, 2.0)
+COSTS = {"threads": 1, "peak_memory": 0, "gpu_memory": 0}
+ZONE = np.array([[8.0, 1.0], [40.0, 1.0], [40.0, 3.0], [8.0, 3.0]])
+
+
+def stamp(run):
+    """What renders of the tiny scene are made with."""
+    scene, targets = (
+        run / name.format(**PLACE) for name in (layout.SCENE, layout.DETECTION_TARGETS)
+    )
+    return {"scene": Scene(scene).stamp, "targets": file_hash(targets)}
+
+
+def grey_views(run, label, value, leave_out=()):
+    """Renders of an entrant that knows one grey value."""
+    folder = run / layout.DETECTION_VIEWS.format(**PLACE, label=label)
+    targets = read_targets(run / layout.DETECTION_TARGETS.format(**PLACE))
+    for target in targets:
+        if target.key not in leave_out:
+            picture = np.full((target.camera.height, target.camera.width, 3), value, np.uint8)
+            write_image(folder / f"{target.key}.png", picture)
+    outcome = {**FINE, **COSTS, PICTURES: seal_pictures(folder, targets)}
+    outcome[MADE_WITH] = stamp(run)
+    write_json(folder / "render.json", {ALL_CAMERAS: outcome})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rig_run(tmp_path_factory):
+    """A run with the tiny scene as the stage of detection has it, and truth at all its targets."""
+    run = tmp_path_factory.mktemp("run")
+    extras = SceneExtras(no_label_zones={1: [ZONE]})
+    scene = write_tiny_scene(run / layout.SCENE.format(**PLACE), extras=extras)
+    labels = scene_labels(scene, "d/tiny", {"vehicle": ["car"]}, (-8, -28, -3, 48, 28, 5))
+    write_parquet(run / layout.DETECTION_LABELS.format(**PLACE), labels)
+    targets = [*views_between(scene, ViewSettings()), *moved_rig(scene, OFFSETS)]
+    path = run / layout.DETECTION_TARGETS.format(**PLACE)
+    write_targets(path, targets, targets_stamp(scene, {}, 0))
+    for target in targets:
+        path = run / layout.DETECTION_TRUTH.format(**PLACE) / f"{target.key}.png"
+        write_image(path, tiny_truth(target.camera).rgb)
+    grey_views(run, "grey", 51)
+    return run
+
+
+@pytest.fixture
+def rig_scene(rig_run):
+    return DetectionScene(rig_run, "d", "tiny")

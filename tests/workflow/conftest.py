@@ -18,7 +18,7 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
-    EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit")
+    EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit", "detection")
     RESUMED = (
         *(
             f"results/smoke/parts/street/junction-201/{label}.scores.parquet"

@@ -9,7 +9,11 @@ from pathlib import Path
 from geoevs import layout
 from geoevs.core.code_hash import code_hash
 from geoevs.config.checks import SUITE_MODEL, check_config
-from geoevs.config.entrants import method_entries, stability_entries
+from geoevs.config.entrants import (
+    detection_entries,
+    method_entries,
+    stability_entries,
+)
 from geoevs.config.partitions import partition_scenes
 from geoevs.config.places import merge_order
 from geoevs.config.trainings import training_settings
@@ -165,10 +169,11 @@ def of_dataset(pattern, dataset):
 
 
 def suite_results(wildcards):
-    """Results of stability and audit, if they were run, or if this call runs them: report waits."""
+    """Results of stages of their own, if they were run, or if this call runs them: report waits."""
     suites = {
         "stability": (layout.STABILITY_TABLE, rules.stability.input),
         "audit": (layout.AUDIT_PAGE, rules.audit.input),
+        "detection": (f"{layout.DETECTION_TABLE}.csv", rules.detection.input),
     }
     return [
         file

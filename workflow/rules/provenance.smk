@@ -19,6 +19,12 @@ def stability_targets_made_with(wildcards):
     return {"settings": target_settings(settings, 0)}
 
 
+def detection_targets_made_with(wildcards):
+    """The same for target lists of detection."""
+    settings = json.loads(detection_section("views", "offsets"))
+    return {"settings": target_settings(settings, 0)}
+
+
 def fit_made_with(wildcards):
     """What the config says that an entrant is fitted with, besides a scene."""
     options = json.loads(method_options(ENTRIES, wildcards))

@@ -51,6 +51,8 @@ localrules:
     audit_page,
     stability_tables,
     stability_chart,
+    detection_counts,
+    detection_tables,
     install_weights,
 
 

@@ -1,4 +1,4 @@
-"""What a run's audit and stability suite say, in words, where they were run."""
+"""What a run's audit, stability and detection stages say, in words, where they were run."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -8,12 +8,14 @@ import pandas as pd
 
 from geoevs import layout
 from geoevs.core.files import whole_file
+from geoevs.detection.training_settings import BLIND, NATIVE
 from geoevs.results.audit_page import RANKS_WELL
+from geoevs.results.formats import with_interval
 from geoevs.results.report.sentences import METRIC_NAMES
 
 
 def summarise_suites(run: Path) -> list[str]:
-    """Sentences about when to trust sparse PSNR, and about which method breaks first and last.
+    """Sentences about when to trust sparse PSNR, who breaks first, and whose views help detectors.
 
     Raises:
         GeoEvsError: a table that is there is damaged.
@@ -29,6 +31,10 @@ def summarise_suites(run: Path) -> list[str]:
     if points.exists() and curves.exists():
         with whole_file(points):
             sentences += _breaking(_csv(points, {"level": "str"}), _csv(curves))
+    detection, task = (run / f"{name}.csv" for name in (layout.DETECTION_TABLE, layout.TASK_TABLE))
+    if detection.exists() and task.exists():
+        with whole_file(detection):
+            sentences += _detection(_csv(detection), _csv(task))
     return sentences
 
 
@@ -89,3 +95,51 @@ def _held(point: Mapping[str, str], curves: pd.DataFrame) -> float:
     mine = curves[(curves[key] == [point[name] for name in key]).all(axis=1)]
     levels = ["clean" if math.isnan(level) else f"{level:g}" for level in mine["level"]]
     return 1.0 if point["level"] == "none" else levels.index(point["level"]) / len(levels)
+
+
+def _detection(table: pd.DataFrame, task: pd.DataFrame) -> Iterator[str]:
+    """Whether generated views help a detector, and how it does on a rig that moved aside."""
+    rows = table.set_index("setting")
+    native = rows.loc[NATIVE]
+    if native["failed"]:
+        reason = native["note"]
+        yield f"No detector of the recorded views could be trained: {reason}; see Detection."
+        return
+    blind = rows.loc[BLIND]
+    floor = "" if blind["failed"] else f", {blind['let_mapl']:.1f} if it sees grey pictures alone"
+    yield (
+        f"A detector of the {native['views']:.0f} recorded views has LET-mAPL "
+        f"{_between(native, 'let_mapl')} percent{floor} ({native['truths']:.0f} labels, "
+        f"{native['seeds']:.0f} seeds)."
+    )
+    others = rows[(rows["failed"] == 0) & (rows["group"] != "recorded")]
+    for row in others.to_dict("records"):
+        low, high = (row[f"let_mapl_gain_{end}"] for end in ("low", "high"))
+        chance = "more than chance" if low > 0 or high < 0 else "no more than chance"
+        chance = "without an interval" if math.isnan(low) else chance
+        who, more = row["name"].removeprefix("recorded + "), row["views"] - native["views"]
+        gain = _between(row, "let_mapl_gain", "+")
+        yield f"With {who} in {more:.0f} more views it changes by {gain}: {chance}."
+    yield from _moved(task)
+
+
+def _moved(task: pd.DataFrame) -> Iterator[str]:
+    """NTA-IoU where the rig moved furthest, whoever rendered."""
+    measured = task[task["nta_iou"].notna()]
+    if not (measured["offset"] == 0).any():
+        return
+    recorded = measured.loc[measured["offset"] == 0, "nta_iou"].iloc[0]
+    furthest = measured["offset"].abs().max()
+    aside = measured[(measured["offset"].abs() == furthest) & (furthest > 0)]
+    means = aside.groupby("name", sort=False)["nta_iou"].mean()
+    said = ", ".join(f"{value:.1f} on pictures of {name}" for name, value in means.items())
+    if said:
+        yield (
+            f"Its boxes have an NTA-IoU of {recorded:.1f} percent on recorded pictures; from "
+            f"{furthest:g} m aside, {said}."
+        )
+
+
+def _between(row: Mapping[str, float], name: str, sign: str = "") -> str:
+    form = f"{{:{sign}.1f}}"
+    return with_interval(form, *(row[name + end] for end in ("", "_low", "_high")))

@@ -83,3 +83,46 @@ def test_a_stressor_that_no_control_could_judge_counts_for_nobody(tmp_path):
     write_stability(tmp_path, {"mine": ("", "45"), "other": ("", "0")})
     (sentence,) = summarise_suites(tmp_path)
     assert "the best control: Mine, after 50 % of the levels (mean of 1 stressors)" in sentence
+
+
+def write_detection(run, *settings, offsets=((0, "recorded", 40.0), (-3, "Mine", 30.0))):
+    """Table 3 of some settings, each (name, LET-mAPL, gain, its ends), and task metrics."""
+    rows = []
+    for name, value, *gain in settings:
+        recorded = not name.startswith("with-")
+        row = {"setting": name, "name": name if recorded else "recorded + Mine", "failed": 0}
+        row |= {"group": "recorded" if recorded else "generated", "views": 5 if recorded else 45}
+        row |= {"truths": 99, "seeds": 3, "note": ""}
+        ends = ("", "_low", "_high")
+        row |= {f"let_mapl{end}": value + step for end, step in zip(ends, (0, -1, 1), strict=True)}
+        row |= dict(
+            zip((f"let_mapl_gain{end}" for end in ends), gain or [math.nan] * 3, strict=True)
+        )
+        rows.append(row)
+    write_text(run / "tables/detection.csv", pd.DataFrame(rows).to_csv(index=False))
+    task = [{"offset": metres, "name": name, "nta_iou": value} for metres, name, value in offsets]
+    write_text(run / "tables/task_offsets.csv", pd.DataFrame(task).to_csv(index=False))
+
+
+def test_it_says_whether_generated_views_help(tmp_path):
+    write_detection(tmp_path, ("blind", 2.0), ("native", 12.0), ("with-mine", 14.0, 2.0, -0.5, 4.5))
+    native, views, moved = summarise_suites(tmp_path)
+    assert "has LET-mAPL 12.0 [11.0, 13.0] percent, 2.0 if it sees grey pictures alone" in native
+    assert "With Mine in 40 more views it changes by +2.0 [-0.5, +4.5]: no more than" in views
+    assert moved.endswith("NTA-IoU of 40.0 percent on recorded pictures; from 3 m aside, 30.0 on "
+                          "pictures of Mine.")  # fmt: skip
+    write_detection(
+        tmp_path, ("blind", 2.0), ("native", 12.0), ("with-mine", 9.0, -3.0, -4.0, -2.0)
+    )
+    assert "by -3.0 [-4.0, -2.0]: more than chance" in summarise_suites(tmp_path)[1]
+
+
+def test_it_says_that_nobody_learned(tmp_path):
+    write_detection(tmp_path, ("blind", 2.0), ("native", 12.0), offsets=[(-3, "Mine", math.nan)])
+    assert len(summarise_suites(tmp_path)) == 1
+    table = pd.read_csv(tmp_path / "tables/detection.csv").assign(failed=3, note="loss is nan")
+    write_text(tmp_path / "tables/detection.csv", table.to_csv(index=False))
+    (sentence,) = summarise_suites(tmp_path)
+    assert sentence == (
+        "No detector of the recorded views could be trained: loss is nan; see Detection."
+    )
