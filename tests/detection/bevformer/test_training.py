@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.images import read_image
