@@ -170,8 +170,9 @@ class Backbone(nn.Module):
     @property
     def identity(self) -> str:
         """A fingerprint of its weights: features of another one are others."""
-        parts = [part for name, value in self.state_dict().items() for part in (name, value)]
-        return fingerprint(self.kind, *parts)
+        # Averages of weights have 0 where these have -0.
+        weights = {name: value + 0 for name, value in self.state_dict().items()}
+        return fingerprint(self.kind, *(part for pair in weights.items() for part in pair))
 
 
 def new_backbone(detector: Detector, seed: int) -> Backbone:
