@@ -46,6 +46,7 @@ from geoevs.scenes.checks import (
     timestamp,
 )
 from geoevs.scenes.extras import (
+    MAP,
     check_extras,
     read_ego_masks,
     read_map,
@@ -54,12 +55,12 @@ from geoevs.scenes.extras import (
     write_extras,
 )
 from geoevs.scenes.interop import ThinnedPoints, write_ply
+from geoevs.scenes.road_map import RoadMap
 from geoevs.scenes.scene import (
     NO_EXTRAS,
     TRACK_COLUMNS,
     Exposure,
     Frame,
-    MapFeature,
     PointCloud,
     Rig,
     SceneExtras,
@@ -153,11 +154,11 @@ def _read_info(path: Path) -> SceneInfo:
         described["rig"] = Rig(**_fields(described["rig"], Rig, path))
     except GeoEvsError as error:
         raise error if str(path) in str(error) else GeoEvsError(f"{path}: {error}") from error
-    for name in ("cameras", "origin"):
+    for name in ("cameras", "origin", "tags"):
         if not isinstance(described.get(name, []), list):
             raise GeoEvsError(f"{path} describes no scene ('{name}' is no list); remake the store")
     described |= {
-        name: tuple(described[name]) for name in ("cameras", "origin") if name in described
+        name: tuple(described[name]) for name in ("cameras", "origin", "tags") if name in described
     }
     if not isinstance(described.get("made_with", {}), dict):
         raise GeoEvsError(f"{path} describes no scene ('made_with' is none); remake the store")
@@ -266,9 +267,9 @@ class Scene:
 
     @cached_property
     def stamp(self) -> str:
-        """Hash of what the store says of itself: what it was made with, its cameras and poses."""
-        files = ("scene.json", "transforms.json")
-        return text_hash(" ".join(file_hash(self.folder / name) for name in files))
+        """Hash of what the store says of itself: made with what, its cameras and poses, its map."""
+        files = [self.folder / name for name in ("scene.json", "transforms.json", MAP)]
+        return text_hash(" ".join(file_hash(path) for path in files if path.exists()))
 
     def camera(self, name: str, frame: int) -> Camera:
         """The calibrated camera `name` in `frame`."""
@@ -307,8 +308,8 @@ class Scene:
         return read_ego_masks(self.folder, self._sizes)
 
     @cached_property
-    def map_features(self) -> list[MapFeature]:
-        """The road map; empty where the source has none."""
+    def road_map(self) -> RoadMap | None:
+        """The ground around the scene; None where the source has no map."""
         return read_map(self.folder)
 
     @cached_property
@@ -326,7 +327,7 @@ class Scene:
         synced = self.synced_tracks
         return SceneExtras(
             {name: mask for name, mask in self.ego_masks.items() if name in cameras},
-            self.map_features,
+            self.road_map,
             self.no_label_zones,
             None if synced is None else synced[synced["camera"].isin(cameras)],
         )
