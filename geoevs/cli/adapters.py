@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from geoevs.cli.arguments import parse_json
-from geoevs.methods.check import Check
 from geoevs.methods.finding import methods_root
 from geoevs.methods.template import new_adapter as write_adapter
+from geoevs.methods.trial import Check
 
 MARKS = {
     "passed": "[green]✓[/]",

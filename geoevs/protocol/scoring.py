@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, cause, read_outcomes
+from geoevs.protocol.entries import (
+    EMPTY_MASK,
+    FAILED,
+    OK,
+    MethodEntry,
+    cause,
+    read_outcomes,
+    takes_part,
+)
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.pictures import read_view
 from geoevs.protocol.regions import Answer
@@ -25,8 +33,8 @@ def score_method(
 ) -> list[dict[str, Any]]:
     """Score every target of a scene; a render or a view that failed gives rows that say so.
 
-    Methods without a condition map have no rows of masked targets, unless their fit failed: then
-    nobody could ask them.
+    Methods have no rows of splits that they take no part in. Those without a condition map have
+    none of masked targets, unless their fit failed: then nobody could ask them.
 
     Args:
         entry: who rendered.
@@ -47,7 +55,7 @@ def score_method(
                 "folder and rerun"
             )
         outcome = outcomes[target.sources]
-        if target.masked and not outcome.get("masked", True):
+        if not takes_part(outcome, target):
             continue
         preds, outcome = read_view(renders, target, outcome)
         described = {**common, **describe(entry, target), **cause(outcome)}
@@ -108,7 +116,7 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
 
 
 def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
-    """Rows of the method's costs on this scene, one for every set of sources."""
+    """Rows of the method's costs on this scene, one for every set of sources it took part in."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
         "training_seconds": math.nan,
@@ -129,4 +137,6 @@ def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }
         for sources, outcome in outcomes.items()
+        # A set of sources without a split that the method takes part in was not fitted.
+        if outcome["status"] == FAILED or "fit_seconds" in outcome
     ]

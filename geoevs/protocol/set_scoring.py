@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.entries import (
+    EMPTY_MASK,
+    FAILED,
+    OK,
+    MethodEntry,
+    read_outcomes,
+    takes_part,
+)
 from geoevs.protocol.pictures import read_view
 from geoevs.protocol.set_metrics import SET_METRICS, real_floor, standardise
 from geoevs.protocol.weights import UNAVAILABLE
@@ -77,7 +84,7 @@ def score_sets(
         renders = answers.renders(entry.label)
         outcomes = read_outcomes(renders / "render.json")
         for target in answers.targets:
-            if target.split not in SET_SPLITS:
+            if target.split not in SET_SPLITS or not takes_part(outcomes[target.sources], target):
                 continue
             dense = answers.truth(target)
             if dense is None:

@@ -77,8 +77,17 @@ def write_scene(
     tracks: pd.DataFrame,
     frames: Iterator[Frame],
     extras: SceneExtras = NO_EXTRAS,
+    unseen: bool = False,
 ) -> None:
     """Write a scene store, whole or not at all, reading one frame at a time.
+
+    Args:
+        folder: the store.
+        info: the scene's description.
+        tracks: its boxes.
+        frames: read once.
+        extras: what its source knows besides.
+        unseen: whether frames may lack images, for a method that must not see them.
 
     Raises:
         GeoEvsError: the scene has no frame, a camera lacks an image, something cannot be true of
@@ -95,10 +104,12 @@ def write_scene(
         for frame in frames:
             where = f"frame {frame_number(frame.frame, who)} of {who}"
             seconds = timestamp(frame.timestamp, where, seconds)
-            points = _checked_frame(info, frame, where)
+            points = _checked_frame(info, frame, where, unseen)
             for name in info.cameras:
-                path = f"images/{view_key(name, frame.frame)}.png"
-                write_image(partial / path, frame.images[name])
+                path = None
+                if name in frame.images:
+                    path = f"images/{view_key(name, frame.frame)}.png"
+                    write_image(partial / path, frame.images[name])
                 entry = {
                     "file_path": path,
                     "camera": name,
@@ -110,7 +121,7 @@ def write_scene(
                 if name in frame.exposures:
                     entry["exposure"] = list(frame.exposures[name])
                 entries.append(entry)
-                sizes[name] = frame.images[name].shape[:2]
+                sizes[name] = frame.cameras[name].height, frame.cameras[name].width
             thinned.add(points)
             arrays = {name: getattr(points, name) for name in POINT_FIELDS}
             write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
@@ -129,11 +140,13 @@ def write_scene(
         write_json(partial / "scene.json", described)
 
 
-def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
+def _checked_frame(info: SceneInfo, frame: Frame, where: str, unseen: bool) -> PointCloud:
     """A frame's points, after all that it holds was checked."""
     for name in info.cameras:
-        if name not in frame.cameras or name not in frame.images:
+        if name not in frame.cameras or (name not in frame.images and not unseen):
             raise GeoEvsError(f"{where} has no camera '{name}'; supply it or leave out the frame")
+        if name not in frame.images:
+            continue
         camera, image = frame.cameras[name], frame.images[name]
         if image.shape != (camera.height, camera.width, 3):
             raise GeoEvsError(
@@ -184,10 +197,10 @@ def _fields(value: Any, kind: type, path: Path) -> dict[str, Any]:
 
 
 class _View(NamedTuple):
-    """What a camera recorded in a frame."""
+    """What a camera recorded in a frame; no image where the store's reader must not see it."""
 
     camera: Camera
-    image: Path
+    image: Path | None
     timestamp: float
     exposure: Exposure | None
 
@@ -217,12 +230,15 @@ def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int],
         for field in ("file_path", "timestamp"):
             if field not in entry:
                 raise GeoEvsError(f"{who} lacks '{field}'; add it")
-        image = inside(folder, entry["file_path"], path)
+        image = None
+        if entry["file_path"] is not None:
+            image = inside(folder, entry["file_path"], path)
         if key in views or image in images:
             raise GeoEvsError(f"{who} stands there twice, or has another view's image; correct it")
-        if not image.is_file():
-            raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
-        images.add(image)
+        if image is not None:
+            if not image.is_file():
+                raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
+            images.add(image)
         camera = camera_from_json(entry, name, path)
         exposure = entry.get("exposure")
         views[key] = _View(
@@ -279,9 +295,10 @@ class Scene:
         """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`.
 
         Raises:
-            GeoEvsError: the file is no image, or one of another size than its camera.
+            GeoEvsError: there is none, the file is no image, or one of another size than its
+                camera.
         """
-        camera, path = self._view(name, frame)[:2]
+        camera, path = self.camera(name, frame), self.image_path(name, frame)
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise GeoEvsError(
@@ -291,8 +308,18 @@ class Scene:
         return to_float(image)
 
     def image_path(self, name: str, frame: int) -> Path:
-        """The file of what camera `name` recorded in `frame`."""
-        return self._view(name, frame).image
+        """The file of what camera `name` recorded in `frame`.
+
+        Raises:
+            GeoEvsError: the store has none, as it was written for a method that must not see it.
+        """
+        path = self._view(name, frame).image
+        if path is None:
+            raise GeoEvsError(
+                f"{self.folder} has no image of camera '{name}' in frame {frame}; it was saved by "
+                "a method that does not see it"
+            )
+        return path
 
     def timestamp(self, frame: int) -> float:
         """Seconds at which `frame` was recorded."""

@@ -52,7 +52,7 @@ def test_the_paper_comes_first_then_methods_then_controls(table):
 
 def test_who_plays_is_said_in_the_last_columns(table):
     made = table("observed", {"method": "geo-evs"}, {"method": "zeta"}, {"method": "reproject"})
-    assert list(made)[-4:] == ["name", "paradigm", "extra_prior", "needs"]
+    assert list(made)[-5:] == ["name", "paradigm", "extra_prior", "needs", "sees"]
     shown = {row["method"]: tuple(row.values())[-4:] for row in made.to_dict("records")}
     # The paper's name, but what was run here; of what was not run, what the paper says.
     assert shown["geo-evs"] == ("Geo-EVS", "diffusion", "a latent prior", "lidar training")

@@ -12,7 +12,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.methods.tiny import HEIGHT, WIDTH, write_tiny_scene
 from geoevs.scenes.extras import MAP, SYNCED, ZONES, read_map
 from geoevs.scenes.road_map import ARRAYS, Polygon, RoadMap, map_arrays
-from geoevs.scenes.scene import Exposure, Frame, SceneExtras
+from geoevs.scenes.scene import NO_EXTRAS, Exposure, Frame, SceneExtras
 from geoevs.scenes.store import Scene, write_scene
 
 BONNET = np.zeros((HEIGHT, WIDTH), bool)
@@ -56,7 +56,7 @@ def test_a_store_gives_back_what_its_source_knew(tmp_path):
 
 
 def test_a_store_without_them_has_no_files_of_them(tmp_path):
-    scene = write_tiny_scene(tmp_path / "s")
+    scene = write_tiny_scene(tmp_path / "s", extras=NO_EXTRAS)
     assert scene.extras(scene.cameras).synced_tracks is None
     assert (scene.ego_masks, scene.road_map, scene.no_label_zones) == ({}, None, {})
     assert {path.name for path in scene.folder.iterdir()} >= {"scene.json", "tracks.parquet"}
