@@ -33,11 +33,12 @@ COMMANDS = (
     "adapters",
     "detection",
     "sources",
+    "layouts",
 )
 FOR_PEOPLE = (
     *("why", "compare", "verify", "grid"),
     *("new-adapter", "check-adapter", "new-source", "check-source"),
-    *("export", "export-colmap", "let-ap"),
+    *("export", "export-colmap", "layout-sheet", "let-ap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 

@@ -1,6 +1,6 @@
 """The road map of a scene: polygons of what the ground is, and rasters of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -87,23 +87,20 @@ class RoadMap:
             left. Cells on a polygon's edge are set too, so that thin lines have no gaps; edges are
             true to about a cell.
         """
-        grids = np.zeros((len(SURFACES), cells + 2 * MARGIN, cells + 2 * MARGIN), np.uint8)
-        cos, sin = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
-        ahead, left = np.array([cos, sin]), np.array([-sin, cos])
-        middle, size = metres / 2, metres / cells
-        near = (np.abs(self._middles - centre) <= self._halves + metres * np.sqrt(0.5)).all(axis=1)
-        for polygon in (self.polygons[number] for number in np.flatnonzero(near)):
-            rings = []
-            for ring in polygon.rings:
-                away = ring[:, :2] - centre
-                # OpenCV counts from the middle of the first cell.
-                places = np.stack([middle - away @ left, middle - away @ ahead], axis=1) / size
-                places = (places + MARGIN - 0.5) * 2**FRACTION_BITS
-                rings.append(np.rint(places).astype(np.int32))
-            grid = grids[SURFACES.index(polygon.surface)]
-            cv2.fillPoly(grid, rings, 1, cv2.LINE_8, FRACTION_BITS)
-        inner = grids[:, MARGIN:-MARGIN, MARGIN:-MARGIN].astype(bool)
-        return _topmost(np.moveaxis(inner, 0, -1))
+        reach = self._halves + metres * np.sqrt(0.5)
+        near = np.flatnonzero((np.abs(self._middles - centre) <= reach).all(axis=1))
+        drawn = [self.polygons[number] for number in near]
+        grids = [
+            fill_cells(
+                [polygon.rings for polygon in drawn if polygon.surface == surface],
+                centre,
+                yaw,
+                metres,
+                cells,
+            )
+            for surface in SURFACES
+        ]
+        return _topmost(np.stack(grids, axis=-1))
 
     def at(
         self,
@@ -148,6 +145,36 @@ class RoadMap:
     @property
     def _halves(self) -> np.ndarray:
         return (self._bounds[1] - self._bounds[0]) / 2
+
+
+def fill_cells(
+    polygons: Iterable[Sequence[np.ndarray]],
+    centre: np.ndarray,  # [2]
+    yaw: float,
+    metres: float,
+    cells: int,
+) -> np.ndarray:
+    """(cells, cells) bool: the cells of a square (see `RoadMap.raster`) that polygons fill.
+
+    Args:
+        polygons: each its rings, (N, 2 or 3) metres in the world.
+        centre: see `RoadMap.raster`, as for the others.
+        yaw: in degrees.
+        metres: of a side.
+        cells: of a side.
+    """
+    grid = np.zeros((cells + 2 * MARGIN, cells + 2 * MARGIN), np.uint8)
+    cos, sin = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    to_left_and_ahead = np.array([[-sin, cos], [cos, sin]]).T
+    for rings in polygons:
+        corners = []
+        for ring in rings:
+            away = (ring[:, :2] - centre) @ to_left_and_ahead
+            # OpenCV counts from the middle of the first cell.
+            places = (metres / 2 - away) * (cells / metres) + MARGIN - 0.5
+            corners.append(np.rint(places * 2**FRACTION_BITS).astype(np.int32))
+        cv2.fillPoly(grid, corners, 1, cv2.LINE_8, FRACTION_BITS)
+    return grid[MARGIN:-MARGIN, MARGIN:-MARGIN].astype(bool)
 
 
 def _topmost(surfaces: np.ndarray) -> np.ndarray:
