@@ -89,7 +89,7 @@ class RoadMap:
         """
         reach = self._halves + metres * np.sqrt(0.5)
         near = np.flatnonzero((np.abs(self._middles - centre) <= reach).all(axis=1))
-        drawn = [self.polygons[number] for number in near]
+        drawn = [self.polygons[number] for number in near.tolist()]
         grids = [
             fill_cells(
                 [polygon.rings for polygon in drawn if polygon.surface == surface],
