@@ -41,7 +41,10 @@ from tests.fuzzing import (
 )
 
 BLANK = {"string": "", "int64": 0, "float64": math.nan}
-INFO = {"name": "A", "paradigm": "reconstruction", "extra_prior": "none", "needs": "lidar"}
+INFO = {
+    **{"name": "A", "paradigm": "reconstruction", "extra_prior": "none", "needs": "lidar"},
+    "sees": "views",
+}
 OUTCOME = {**FINE, "threads": 2, "peak_memory": 10**9, "gpu_memory": 0, "fit_seconds": 1.5}
 OUTCOME |= {"attempt": 0, "bytes": 7, "pictures": {"front/000000": "0" * 64}}
 PLACE = {"dataset": "d", "scene": "s", "method": "a", "variant": "default"}

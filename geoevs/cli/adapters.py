@@ -9,7 +9,7 @@ from rich.markup import escape
 from geoevs.cli.arguments import parse_json
 
 if TYPE_CHECKING:
-    from geoevs.methods.check import Check
+    from geoevs.methods.trial import Check
 
 MARKS = {
     "passed": "[green]✓[/]",

@@ -34,11 +34,12 @@ COMMANDS = (
     "detection",
     "detection_stage",
     "sources",
+    "layouts",
 )
 FOR_PEOPLE = (
     *("why", "compare", "verify", "grid"),
     *("new-adapter", "check-adapter", "new-source", "check-source"),
-    *("export", "export-colmap", "let-ap"),
+    *("export", "export-colmap", "layout-sheet", "let-ap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 

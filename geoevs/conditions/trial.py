@@ -7,10 +7,11 @@ from typing import Any
 import geoevs
 from geoevs.geometry.depth_models import LidarDepth
 from geoevs.geometry.point_maps import write_point_maps
-from geoevs.methods.check import Check, check_isolated
+from geoevs.methods.check import check_isolated
 from geoevs.methods.check_training import check_imports_no_torch, check_training
 from geoevs.methods.finding import check_free_name, find_methods, find_trainings
 from geoevs.methods.training import Inputs
+from geoevs.methods.trial import Check
 from geoevs.scenes.store import Scene
 
 MASK_POSES = {"yaw": [0.0, 0.5], "lateral": [-1.0, 1.0]}

@@ -2,146 +2,53 @@
 
 import ast
 import contextlib
-import importlib
 import inspect
-import os
 import shutil
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 
-from geoevs.core.errors import GeoEvsError, reason_of
-from geoevs.core.isolate import MethodFailedError, absolute_paths, begin_part, run_isolated
-from geoevs.core.plugins import module_path
-from geoevs.core.randomness import Rng
+from geoevs.core.errors import GeoEvsError
+from geoevs.core.isolate import MethodFailedError, absolute_paths, run_isolated
+from geoevs.core.splits import PLAIN_SPLITS
 from geoevs.methods.contract import (
+    FROM_PICTURES,
     NEEDS,
-    Adapter,
-    Budget,
-    FitReport,
+    SEES,
     MaskedAdapter,
     MethodInfo,
     Rendering,
-    Views,
 )
-from geoevs.methods.finding import find_methods, make_method
+from geoevs.methods.finding import make_method
 from geoevs.methods.returned import checked_array, checked_report, checked_rgb
-from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
+from geoevs.methods.tiny import with_hidden_black
+from geoevs.methods.trial import (
+    FRAME,
+    KEEP,
+    VIRTUAL,
+    BrokenContractError,
+    Check,
+    Trial,
+    difference_of,
+    failure,
+    run_check,
+    watched_files,
+)
 from geoevs.scenes.camera import Camera
 
-# Where the checks render: what an `external` method must hold images of.
-FRAME = 1
-SOURCE = "front"
-VIRTUAL = tiny_camera("virtual", 22.5, MOUNT + np.array([0.5, 1.0, 0.0]))
-
-# What a masked view keeps of its condition map: all but a block in the middle.
-KEEP = np.ones((HEIGHT, WIDTH), bool)
-KEEP[HEIGHT // 4 : -HEIGHT // 4, WIDTH // 4 : -WIDTH // 4] = False
-
 # Views can tell when these are read; what else a method declares is taken at its word.
-WATCHED_NEEDS = ("lidar", "tracks")
+WATCHED_NEEDS = ("lidar", "tracks", "map")
 
 # A method that reads these could see its answers.
 HIDDEN_PACKAGES = ("geoevs.protocol", "geoevs.results")
 
 LIMIT = 3600.0
 """Seconds that all checks of a method may take."""
-
-# What Python and Numba themselves write beside the code.
-UNWATCHED_FOLDERS = ("__pycache__",)
-
-
-@dataclass(frozen=True)
-class Check:
-    """The result of one check of a contract.
-
-    Args:
-        name: what was checked.
-        status: `passed`, `failed`, `warned` or `skipped`.
-        sentence: why it did not pass.
-        traceback: of the method's own exception, where it raised one.
-    """
-
-    name: str
-    status: str
-    sentence: str = ""
-    traceback: str = ""
-
-
-OWN_FILES = ("adapter.py", "training.py")
-"""Where a method's own code begins: failures name the last line there."""
-
-Tried = TypeVar("Tried")
-"""What checks are run on: a method, or a training."""
-
-
-class BrokenContractError(Exception):
-    """The sentence of a failed check."""
-
-
-class WatchedViews(Views):
-    """Views that remember which needs were read, and which were refused."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.used: set[str] = set()
-        self.refused: set[str] = set()
-
-    def _require(self, need: str) -> None:
-        try:
-            super()._require(need)
-        except GeoEvsError:
-            self.refused.add(need)
-            raise
-        self.used.add(need)
-
-
-class Trial:
-    """One method on the tiny scene, with what the checks learn of it on their way."""
-
-    def __init__(self, name: str, options: dict[str, Any], folder: Path) -> None:
-        self.name, self.options, self.folder = name, options, folder
-        self.scene = write_tiny_scene(folder / "scene")
-        self.source = self.scene.camera(SOURCE, FRAME)
-        self.before = _watched_files(folder, name)
-        self.method = make_method(name, options)
-        self.views: WatchedViews | None = None
-        self.fitted = False
-        self.rendered: dict[str, Rendering] = {}
-
-    def fit(self, method: Adapter) -> FitReport:
-        """Fit to the tiny scene, with the same randomness each time."""
-        self.views = WatchedViews(self.scene, self.scene.cameras, method.info.needs)
-        return method.fit(self.views, Budget(), Rng(0, "check-adapter"))
-
-    def render(self, camera: Camera) -> Rendering:
-        """The first fit's rendering of a camera, made once."""
-        if camera.name not in self.rendered:
-            self.rendered[camera.name] = self.method.render(camera, FRAME)
-        return self.rendered[camera.name]
-
-    def render_masked(self) -> Rendering | None:
-        """The first fit's masked view, made once, where the method has any."""
-        if isinstance(self.method, MaskedAdapter) and "masked" not in self.rendered:
-            self.rendered["masked"] = self.method.render_masked(VIRTUAL, FRAME, KEEP)
-        return self.rendered.get("masked")
-
-    def difference(self, other: Adapter) -> str:
-        """The first part of these views that another copy of the method renders otherwise."""
-        for camera in (VIRTUAL, self.source):
-            if part := _difference(self.render(camera), other.render(camera, FRAME)):
-                return part
-        if masked := self.render_masked():
-            copy = cast(MaskedAdapter, other)
-            part = _difference(masked, copy.render_masked(VIRTUAL, FRAME, KEEP))
-            return f"{part} of a masked view" if part else ""
-        return ""
 
 
 def check_isolated(name: str, options: dict[str, Any]) -> list[Check]:
@@ -184,7 +91,7 @@ def check_adapter(name: str, options: dict[str, Any]) -> list[Check]:
         except GeoEvsError:
             raise
         except Exception as error:
-            return [_failure("import", error)]
+            return [failure("import", error)]
         return [
             Check(title, "skipped", "fit failed")
             if check in AFTER_FIT and not trial.fitted
@@ -199,28 +106,6 @@ def contract_failures(name: str, **options: object) -> list[str]:
     return [f"{check.name}: {check.sentence}" for check in checks if check.status == "failed"]
 
 
-def run_check(title: str, check: Callable[[Tried], str | None], trial: Tried) -> Check:
-    """Run one check on a trial; whatever the method raises is a failure of that check."""
-    begin_part(title)
-    try:
-        warning = check(trial)
-    except BrokenContractError as broken:
-        return Check(title, "failed", str(broken))
-    except Exception as error:
-        return _failure(title, error)
-    return Check(title, "warned", warning) if warning else Check(title, "passed")
-
-
-def _failure(title: str, error: Exception) -> Check:
-    """A failed check from the method's own exception: what, and the last line of its own code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if Path(frame.filename).name in OWN_FILES]
-    place = (own or frames)[-1]
-    where = f"{Path(place.filename).parent.name}/{Path(place.filename).name}:{place.lineno}"
-    sentence = f"{reason_of(error)} (at {where})"
-    return Check(title, "failed", sentence, "".join(traceback.format_exception(error)))
-
-
 def _check_info(trial: Trial) -> None:
     info = trial.method.info
     if not isinstance(info, MethodInfo):
@@ -228,10 +113,19 @@ def _check_info(trial: Trial) -> None:
     for field in ("name", "paradigm", "extra_prior"):
         if not str(getattr(info, field)).strip():
             raise BrokenContractError(f"info.{field} is empty; tables print it, so fill it in")
-    unknown = [need for need in info.needs if need not in NEEDS]
-    if isinstance(info.needs, str) or unknown:
+    for field, words in (("needs", NEEDS), ("splits", PLAIN_SPLITS)):
+        named = getattr(info, field)
+        if isinstance(named, str) or any(word not in words for word in named):
+            raise BrokenContractError(
+                f"info.{field} is {named!r}; make it a tuple of {', '.join(words)}"
+            )
+    if info.sees not in SEES:
+        raise BrokenContractError(f"info.sees is {info.sees!r}; make it one of {', '.join(SEES)}")
+    hidden = [need for need in info.needs if need in FROM_PICTURES]
+    if info.sees != "views" and hidden:
         raise BrokenContractError(
-            f"info.needs is {info.needs!r}; make it a tuple of {', '.join(NEEDS)}"
+            f"info.needs has {hidden[0]}, which is made of pictures that a method that sees "
+            f"'{info.sees}' does not see; remove one of the two"
         )
 
 
@@ -281,12 +175,17 @@ def _check_masked_view(trial: Trial) -> None:
         return
     _check_rendering(trial.render_masked(), VIRTUAL)
     everything = trial.method.render_masked(VIRTUAL, FRAME, np.ones_like(KEEP))
-    difference = _difference(trial.render(VIRTUAL), everything)
+    difference = difference_of(trial.render(VIRTUAL), everything)
     if difference:
         raise BrokenContractError(
             f"render_masked that keeps every pixel gives another {difference} than render; hide "
             "pixels of the condition map and change nothing else"
         )
+
+
+def _check_joint_views(trial: Trial) -> None:
+    for rendering, camera in zip(trial.render_together(), trial.both, strict=False):
+        _check_rendering(rendering, camera)
 
 
 def _check_rendering(rendering: Rendering | None, camera: Camera) -> None:
@@ -333,11 +232,28 @@ def _check_determinism(trial: Trial) -> str | None:
     )
 
 
+def _check_hidden_pictures(trial: Trial) -> str | None:
+    sees = trial.method.info.sees
+    if sees == "views":  # nothing is hidden
+        return None
+    dark = with_hidden_black(trial.scene, trial.folder / "dark", sees)
+    again = make_method(trial.name, trial.options)
+    trial.fit(again, dark)
+    difference = trial.difference(again)
+    if not difference:
+        return None
+    return _other_bytes(
+        f"where pictures that a method that sees '{sees}' does not see are black, the {difference} "
+        "differs; read a scene through Views alone"
+    )
+
+
 def _check_reload(trial: Trial) -> str | None:
     saved = trial.folder / "saved"
-    for camera in (VIRTUAL, trial.source):
+    for camera in trial.both:
         trial.render(camera)
     trial.render_masked()
+    trial.render_together()
     trial.method.save(saved)
     # The scene may be elsewhere, or gone, when a saved method is loaded.
     shutil.move(trial.folder / "scene", trial.folder / "scene-moved")
@@ -360,44 +276,14 @@ def _other_bytes(sentence: str) -> str:
     return f"{sentence} (or it is the GPU's order of sums: set CUDA_VISIBLE_DEVICES= to see)"
 
 
-def _difference(first: Rendering, second: Rendering) -> str:
-    """The first part of two renderings that is not the same bit for bit, or nothing."""
-    for part in ("rgb", "depth", "support"):
-        one, other = getattr(first, part), getattr(second, part)
-        if (one is None) != (other is None):
-            return part
-        if one is not None and (one.dtype != other.dtype or not np.array_equal(one, other)):
-            return part
-    return ""
-
-
 def _check_own_folder(trial: Trial) -> None:
-    after = _watched_files(trial.folder, trial.name)
+    after = watched_files(trial.folder, trial.name)
     touched = [p for p in {**trial.before, **after} if trial.before.get(p) != after.get(p)]
     if touched:
         more = f" and {len(touched) - 1} more" if len(touched) > 1 else ""
         raise BrokenContractError(
             f"wrote outside its folder: {sorted(touched)[0]}{more}; write only where save is told"
         )
-
-
-def _watched_files(folder: Path, name: str) -> dict[Path, tuple[int, int]]:
-    """Size and time of every file that a method has no business with."""
-    roots = [folder / "cwd", folder / "scene"]
-    for package in ("geoevs", "baselines"):
-        roots += map(Path, importlib.import_module(package).__path__)
-    if (module := find_methods().get(name)) and (own := module_path(module)):
-        roots.append(own.parent)  # of a method outside the project too
-    return {path: state for root in roots for path, state in _files(root)}
-
-
-def _files(root: Path) -> Iterator[tuple[Path, tuple[int, int]]]:
-    for parent, folders, names in os.walk(root):
-        folders[:] = [n for n in folders if n not in UNWATCHED_FOLDERS and not n.startswith(".")]
-        for name in names:
-            with contextlib.suppress(FileNotFoundError):
-                status = (Path(parent) / name).stat()
-                yield Path(parent) / name, (status.st_size, status.st_mtime_ns)
 
 
 CHECKS: dict[str, Callable[[Trial], str | None]] = {
@@ -407,8 +293,10 @@ CHECKS: dict[str, Callable[[Trial], str | None]] = {
     "source view": _check_source_view,
     "virtual view": _check_virtual_view,
     "masked view": _check_masked_view,
+    "joint views": _check_joint_views,
     "declared needs": _check_needs,
     "determinism": _check_determinism,
+    "hidden pictures": _check_hidden_pictures,
     "save and reload": _check_reload,
     "own folder": _check_own_folder,
 }
@@ -416,6 +304,8 @@ AFTER_FIT = (
     _check_source_view,
     _check_virtual_view,
     _check_masked_view,
+    _check_joint_views,
     _check_determinism,
+    _check_hidden_pictures,
     _check_reload,
 )

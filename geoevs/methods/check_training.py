@@ -14,12 +14,13 @@ from typing import Any
 
 from geoevs.core.code_hash import PACKAGES
 from geoevs.core.settings import SettingError, make_settings
-from geoevs.methods.check import LIMIT, BrokenContractError, Check, run_check
+from geoevs.methods.check import LIMIT
 from geoevs.methods.finding import find_methods, find_trainings, training_class
 from geoevs.methods.tiny import write_tiny_scene
 from geoevs.methods.trained import FAILURE_FILE, SECONDS_FILE
 from geoevs.methods.training import CombinedTraining, Inputs
 from geoevs.methods.training_steps import combine_files, failure_of, prepare_scene
+from geoevs.methods.trial import BrokenContractError, Check, run_check
 from geoevs.scenes.store import Scene
 
 STEPS = 8

@@ -17,6 +17,7 @@ from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.randomness import Rng
 from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.road_map import RoadMap
 from geoevs.scenes.scene import Frame, PointCloud, Rig, SceneExtras
 from geoevs.scenes.store import Scene, write_scene
 
@@ -29,7 +30,14 @@ CONTROL = "control"
 DEFAULT = "default"
 """The variant of an entrant, or of a training, whose name in the config is its method's alone."""
 
-NEEDS = ("lidar", "tracks", "sfm", "training")
+NEEDS = ("lidar", "tracks", "map", "sfm", "training")
+
+SEES = ("views", "first-frame", "layout")
+"""How much of the recorded pictures may reach a method: all of its sources, those of the scene's
+first frame, or none."""
+
+FROM_PICTURES = ("lidar", "sfm")
+"""Needs that are made of pictures: the colours of points, and points matched between images."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,8 @@ class MethodInfo:
         extra_prior: what it knew before it saw the scene, such as `Stable Diffusion`.
         needs: which of NEEDS it uses; `Views` refuses what is not declared.
         citation: where it was published.
+        sees: which of SEES; `Views` refuses the rest.
+        splits: which of PLAIN_SPLITS it takes part in; none are named where it takes part in all.
     """
 
     name: str
@@ -49,6 +59,8 @@ class MethodInfo:
     extra_prior: str = "none"
     needs: tuple[str, ...] = ()
     citation: str = ""
+    sees: str = SEES[0]
+    splits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,16 +103,22 @@ class Views:
     Args:
         scene: the store.
         cameras: the source cameras the split allows.
-        needs: what the method declared (see MethodInfo); LiDAR and tracks are refused otherwise.
+        needs: what the method declared (see MethodInfo); LiDAR, tracks and map are refused
+            otherwise.
+        sees: likewise, which pictures.
     """
 
-    def __init__(self, scene: Scene, cameras: Sequence[str], needs: Sequence[str]) -> None:
+    def __init__(
+        self, scene: Scene, cameras: Sequence[str], needs: Sequence[str], sees: str = SEES[0]
+    ) -> None:
         self._scene = scene
         self._needs = tuple(needs)
+        self._sees = sees
         self.scene_name: str = scene.info.name
         self.cameras: tuple[str, ...] = tuple(cameras)
         self.frames: tuple[int, ...] = scene.frames
         self.rig: Rig = scene.info.rig
+        self.tags: tuple[str, ...] = scene.info.tags
 
     def has(self, need: str) -> bool:
         """Whether the method declared `need`, so that it may be read."""
@@ -115,17 +133,39 @@ class Views:
         self._allow(name)
         return self._scene.camera(name, frame)
 
+    def shows(self, frame: int) -> bool:
+        """Whether the method may see the pictures of a frame."""
+        return self._sees == "views" or (self._sees == "first-frame" and frame == self.frames[0])
+
     def image(self, name: str, frame: int) -> np.ndarray:
-        """(H, W, 3) float32 in [0, 1]: a source image."""
+        """(H, W, 3) float32 in [0, 1]: a source image.
+
+        Raises:
+            GeoEvsError: the split does not allow this camera, the method does not see the frame,
+                or the scene lacks it.
+        """
         self._allow(name)
+        if not self.shows(frame):
+            raise GeoEvsError(
+                f"the method reads the image of camera '{name}' in frame {frame}, but sees "
+                f"'{self._sees}'; leave it alone, or change MethodInfo.sees"
+            )
         return self._scene.image(name, frame)
 
     def lidar(self, frame: int) -> PointCloud:
         """The LiDAR points that may condition a method, never those that score it.
 
         Positions are in the world, in metres. Colours come from the source cameras alone.
+
+        Raises:
+            GeoEvsError: the method did not declare LiDAR, or does not see all that coloured it.
         """
         self._require("lidar")
+        if self._sees != "views":
+            raise GeoEvsError(
+                f"the method reads LiDAR, whose colours are pixels, but sees '{self._sees}'; leave "
+                "it alone, or change MethodInfo.sees"
+            )
         points = self._scene.points(frame)
         points = points.select(~self.rig.scores(points))
         if set(self.cameras) == set(self._scene.cameras):
@@ -149,14 +189,27 @@ class Views:
         self._require("tracks")
         return self._scene.tracks
 
+    @property
+    def road_map(self) -> RoadMap | None:
+        """The ground around the scene; None where its source has no map."""
+        self._require("map")
+        return self._scene.road_map
+
     def save(self, folder: Path) -> None:
-        """Write the allowed part as a scene store of its own, LiDAR and tracks if declared."""
+        """Write the allowed part as a scene store of its own: LiDAR, tracks and map if declared.
+
+        Pictures that the method does not see are not in it.
+        """
         info = dataclasses.replace(self._scene.info, cameras=self.cameras)
         frames = (self._frame(frame) for frame in self.frames)
         tracks = self._scene.tracks
         masks = self._scene.ego_masks
-        extras = SceneExtras({name: masks[name] for name in self.cameras if name in masks})
-        write_scene(folder, info, tracks if self.has("tracks") else tracks[:0], frames, extras)
+        extras = SceneExtras(
+            {name: masks[name] for name in self.cameras if name in masks},
+            self.road_map if self.has("map") else None,
+        )
+        tracks = tracks if self.has("tracks") else tracks[:0]
+        write_scene(folder, info, tracks, frames, extras, unseen=True)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
@@ -166,7 +219,8 @@ class Views:
 
     def _frame(self, frame: int) -> Frame:
         cameras = {name: self.camera(name, frame) for name in self.cameras}
-        images = {name: self.image(name, frame) for name in self.cameras}
+        shown = self.cameras if self.shows(frame) else ()
+        images = {name: self.image(name, frame) for name in shown}
         if self.has("lidar"):
             points = self.lidar(frame)
         else:
@@ -207,6 +261,19 @@ class Adapter(Protocol):
     @classmethod
     def load(cls, folder: Path) -> Self:
         """Restore what `save` wrote; it renders the same pixels."""
+        ...
+
+
+@runtime_checkable
+class JointAdapter(Adapter, Protocol):
+    """A method that makes a frame's views at once, as those that look at their neighbours do.
+
+    It is asked for all views of a frame and split in one call, whose seconds they share alike.
+    `render` is there for one view alone.
+    """
+
+    def render_together(self, cameras: Sequence[Camera], frame: int) -> Sequence[Rendering]:
+        """Synthesise what each of `cameras` would see in `frame`, in their order."""
         ...
 
 

@@ -3,6 +3,7 @@
 import math
 import numbers
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,24 @@ def checked_rgb(rendering: object, camera: Camera) -> np.ndarray:
     if not -BEYOND <= low <= high <= 1 + BEYOND:
         raise GeoEvsError(f"rgb spans {low:g} to {high:g}; keep it finite and in [0, 1]")
     return rgb
+
+
+def checked_together(renderings: object, cameras: Sequence[Camera]) -> Sequence[Rendering]:
+    """What `render_together` returned, one rendering a camera; `checked_rgb` looks at each.
+
+    Raises:
+        GeoEvsError: it is no sequence, or has another count.
+    """
+    if not isinstance(renderings, Sequence):
+        raise GeoEvsError(
+            f"render_together returned {type(renderings).__name__}; return a list of Renderings"
+        )
+    if len(renderings) != len(cameras):
+        raise GeoEvsError(
+            f"render_together returned {len(renderings)} renderings of {len(cameras)} cameras; "
+            "return one of each, in their order"
+        )
+    return renderings
 
 
 def checked_array(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:

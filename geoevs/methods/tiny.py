@@ -5,15 +5,17 @@ meant to look real; benchmark scenes come from `geoevs.scenes.sources`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from geoevs.methods.contract import Views
 from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.road_map import Polygon, RoadMap
 from geoevs.scenes.scene import (
-    NO_EXTRAS,
     TRACK_COLUMNS,
     Frame,
     PointCloud,
@@ -35,6 +37,9 @@ LIDAR_ABOVE = np.array([0.0, 0.0, 1.0])  # the cameras, so that parallax hides s
 ROOM = np.array([[-10.0, -8.0, 0.0], [15.0, 8.0, 7.0]])  # seen from inside
 CAR = np.array([[7.0, 1.0, 0.0], [9.0, 3.0, 1.4]])  # seen from outside
 CAR_TINT = np.array([0.4, -0.2, -0.2])
+
+FLOOR = {"drivable": (-4, 4), "sidewalk": (4, 8), "marking": (-0.1, 0.1), "crossing": (-4, 0)}
+"""Surfaces of the floor, from one y to another along the whole room."""
 
 BEAMS, AZIMUTHS = 32, 720
 ELEVATIONS = (20.0, -25.0)  # degrees, the top beam's and the bottom one's
@@ -64,15 +69,19 @@ def tiny_truth(camera: Camera) -> Truth:
 
 
 def write_tiny_scene(
-    folder: Path, cameras: Sequence[str] = tuple(YAWS), extras: SceneExtras = NO_EXTRAS
+    folder: Path, cameras: Sequence[str] = tuple(YAWS), extras: SceneExtras | None = None
 ) -> Scene:
-    """Write the tiny scene's store, with some of its cameras, and open it."""
+    """Write the tiny scene's store, with some of its cameras, and open it; with its map if no
+    other extras are given.
+    """
+    extras = extras or SceneExtras(road_map=_road_map())
     info = SceneInfo(
         name="tiny",
         source="tiny",
         licence="CC0-1.0",
         rig=Rig("front", "left", "right", lidar_split="beam"),
         cameras=tuple(cameras),
+        tags=("room",),
     )
     frames = _frames(info.cameras, extras.ego_masks)
     write_scene(folder, info, _tracks(), frames, extras)
@@ -105,6 +114,43 @@ def _tracks() -> pd.DataFrame:
     centre, size = CAR.mean(axis=0), CAR[1] - CAR[0]
     rows = [(frame, "car-0", "car", *centre, *size, 0.0, False) for frame in FRAMES]
     return pd.DataFrame(rows, columns=list(TRACK_COLUMNS))
+
+
+def with_hidden_black(scene: Scene, folder: Path, sees: str) -> Scene:
+    """A copy of a scene whose pictures are black where a method must not see them.
+
+    Args:
+        scene: the original.
+        folder: of the copy.
+        sees: of `methods.contract.SEES`.
+    """
+    views = Views(scene, scene.cameras, (), sees)
+
+    def image(name: str, frame: int) -> np.ndarray:
+        shown = scene.image(name, frame)
+        return shown if views.shows(frame) else np.zeros_like(shown)
+
+    frames = (
+        Frame(
+            frame,
+            scene.timestamp(frame),
+            {name: scene.camera(name, frame) for name in scene.cameras},
+            {name: image(name, frame) for name in scene.cameras},
+            replace(points := scene.points(frame), rgb=np.zeros_like(points.rgb)),
+        )
+        for frame in scene.frames
+    )
+    write_scene(folder, scene.info, scene.tracks, frames, scene.extras(scene.cameras))
+    return Scene(folder)
+
+
+def _road_map() -> RoadMap:
+    (west, *_), (east, *_) = ROOM
+    rings = {
+        surface: np.array([[west, y, 0], [east, y, 0], [east, z, 0], [west, z, 0]], float)
+        for surface, (y, z) in FLOOR.items()
+    }
+    return RoadMap([Polygon(surface, [ring]) for surface, ring in rings.items()])
 
 
 def _cast(

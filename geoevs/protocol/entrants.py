@@ -11,7 +11,7 @@ from geoevs.protocol.entries import MethodEntry
 
 
 def describe_entrants(options: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """The fields of every entrant's MethodInfo as text of one line, needs between spaces.
+    """The fields of every entrant's MethodInfo as text of one line, words between spaces.
 
     Args:
         options: of each entrant, by its name in the config, METHOD or METHOD.VARIANT.
@@ -24,15 +24,17 @@ def _info(name: str, options: Mapping[str, Any]) -> MethodInfo:
     method = MethodEntry.parse(name, {}, 0).method
     if method in ORACLES:
         return MethodInfo(method.capitalize(), CONTROL, extra_prior="the answer")
-    info = MethodInfo(method, paradigm="", extra_prior="")
+    info = MethodInfo(method, paradigm="", extra_prior="", sees="")
     # A method's module may raise anything, or exit: its fits fail and say why.
     with suppress(Exception, SystemExit):
         info = method_class(method).info
         info = make_method(method, dict(options)).info  # which options may change
-    return info if isinstance(info, MethodInfo) else MethodInfo(method, "", "")
+    return info if isinstance(info, MethodInfo) else MethodInfo(method, "", "", sees="")
 
 
 def _as_text(info: MethodInfo) -> dict[str, str]:
-    needs = info.needs if isinstance(info.needs, (tuple, list)) else [info.needs]
-    values = {**vars(info), "needs": " ".join(map(str, needs))}
-    return {field: clean(str(value)) for field, value in values.items()}
+    return {field: clean(_words(value)) for field, value in vars(info).items()}
+
+
+def _words(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)

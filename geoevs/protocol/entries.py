@@ -1,5 +1,6 @@
 """The entrants of a run, and how one of their steps can end."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,9 @@ from typing import Any
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import read_json
 from geoevs.core.names import check_name
+from geoevs.core.splits import PLAIN_SPLITS
 from geoevs.methods.contract import DEFAULT, ORACLES
+from geoevs.protocol.targets import Target
 
 REFERENCE, TRUTH = ORACLES
 
@@ -18,6 +21,10 @@ OK, EMPTY_MASK, FAILED = "ok", "empty-mask", "failed"
 
 FINE = {"status": OK, "stage": "", "reason": "", "log": ""}
 """The outcome of a step that went well (see `failed`)."""
+
+SPLITS, SPLITS_FILE = "splits", "splits.json"
+"""The key of an outcome with the splits that its method takes part in, all where it names none; and
+the file where the fit says so."""
 
 OUTCOME = {*FINE, "threads", "peak_memory", "gpu_memory"}
 """Keys that `fit.json` and `render.json` have for every set of sources, besides costs."""
@@ -81,6 +88,30 @@ def label_of(method: str, variant: str = DEFAULT, seed: int = 0) -> str:
 def failed(stage: str, reason: str, log: Path | str) -> dict[str, Any]:
     """The outcome of a step that failed: its stage, the reason in one line, and its log."""
     return {"status": FAILED, "stage": stage, "reason": reason, "log": str(log)}
+
+
+def read_splits(folder: Path) -> list[str]:
+    """The splits that a fit says its method takes part in; none if it said nothing that is one."""
+    try:
+        return checked_splits(read_json(folder / SPLITS_FILE))
+    except GeoEvsError:
+        return []
+
+
+def checked_splits(told: Any) -> list[str]:
+    """What a method's process says of its splits; none if something is none."""
+    known = isinstance(told, list) and all(name in PLAIN_SPLITS for name in told)
+    return told if known else []
+
+
+def takes_part(outcome: Mapping[str, Any], target: Target) -> bool:
+    """Whether a method with this outcome is asked for a target.
+
+    It is not where the target is of no split of its own, or is masked and the method has no
+    condition map to mask. A method of which neither is known, as its fit failed, is.
+    """
+    of_mine = target.unmasked.split in (outcome.get(SPLITS) or PLAIN_SPLITS)
+    return of_mine and (not target.masked or outcome.get("masked", True))
 
 
 def cause(outcome: dict[str, Any]) -> dict[str, Any]:

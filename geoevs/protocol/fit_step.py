@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from geoevs.core.errors import GeoEvsError
+from geoevs.core.files import write_json
 from geoevs.core.isolate import begin_part
 from geoevs.core.randomness import Rng
 from geoevs.methods.contract import Budget, MaskedAdapter, Views
@@ -12,6 +13,7 @@ from geoevs.methods.finding import make_method
 from geoevs.methods.returned import checked_report
 from geoevs.methods.trained import UNCOUNTED_FILES
 from geoevs.protocol.clock import timed
+from geoevs.protocol.entries import SPLITS_FILE
 from geoevs.protocol.targets import source_cameras
 from geoevs.scenes.store import Scene
 
@@ -27,10 +29,13 @@ def fit_step(
     sources: str,
     budget: dict[str, Any],
     folder: str,
+    splits: list[str],
 ) -> dict[str, Any]:
     """Fit a method to the views that a set of sources allows, and save it.
 
-    A fit that stops with a GeoEvsError, as at a gradient that is not finite, is saved as it was.
+    Where the method takes part comes first, into SPLITS_FILE beside `folder`, so that it is known
+    of a fit that fails too. One that takes part in none of `splits` is not fitted. A fit that stops
+    with a GeoEvsError, as at a gradient that is not finite, is saved as it was.
 
     Args:
         scene: the scene store.
@@ -40,18 +45,24 @@ def fit_step(
         sources: which cameras it may see (see `source_cameras`).
         budget: fields of Budget.
         folder: an empty folder for the saved method.
+        splits: of the targets that it is fitted for.
 
     Returns:
-        Fit seconds without those of compilation, training seconds, primitives, parameters, bytes
-        on disk, a note, the method's and ours on compilation, whether it can be asked for masked
-        views, whether it is random, and `clock`, the seconds of the parts that it announced.
+        Nothing where the method was not fitted; else fit seconds without those of compilation,
+        training seconds, primitives, parameters, bytes on disk, a note, the method's and ours on
+        compilation, whether it can be asked for masked views, whether it is random, and `clock`,
+        the seconds of the parts that it announced.
 
     Raises:
         GeoEvsError: the method's report has a number that cannot be, or it left nothing.
     """
     store = Scene(Path(scene))
     adapter = make_method(method, options)
-    views = Views(store, source_cameras(store, sources), adapter.info.needs)
+    info = adapter.info
+    write_json(Path(folder).parent / SPLITS_FILE, list(info.splits))
+    if info.splits and not set(info.splits).intersection(splits):
+        return {}
+    views = Views(store, source_cameras(store, sources), info.needs, info.sees)
     rng = Rng(seed, store.info.name, method, sources)
     begin_part("fit")
     try:

@@ -1,5 +1,6 @@
 """Controls that copy what scores a method, outside the adapter contract on purpose."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,10 @@ def oracle_step(
     """
     answers = Answers(Path(run), dataset, scene)
 
-    def render(target: Target) -> Rendering:
-        return Rendering(oracle_picture(method, answers, target))
+    def render(targets: Sequence[Target]) -> list[Rendering]:
+        return [Rendering(oracle_picture(method, answers, target)) for target in targets]
 
-    wanted = [target for target in answers.targets if target.sources == sources]
+    wanted = [[target] for target in answers.targets if target.sources == sources]
     return {"load_seconds": 0.0, **render_targets(render, wanted, Path(folder))}
 
 

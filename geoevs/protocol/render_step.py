@@ -1,7 +1,7 @@
 """Rendering a scene's targets with a fitted method, as the isolated process runs it."""
 
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,12 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.images import to_uint8, write_image
 from geoevs.core.isolate import begin_part
-from geoevs.methods.contract import MaskedAdapter, Rendering
+from geoevs.methods.contract import JointAdapter, MaskedAdapter, Rendering
 from geoevs.methods.finding import method_class
-from geoevs.methods.returned import checked_rgb
+from geoevs.methods.returned import checked_rgb, checked_together
 from geoevs.protocol.clock import timed
 from geoevs.protocol.condition_masks import ConditionMasks
+from geoevs.protocol.entries import SPLITS, takes_part
 from geoevs.protocol.targets import Target, read_targets
 
 
@@ -29,7 +30,8 @@ def render_step(
 ) -> dict[str, Any]:
     """Render every target of a set of sources with a saved method.
 
-    Masked targets are left out where the method has no condition map to mask.
+    Targets of splits that the method takes no part in are left out, and masked ones where it has no
+    condition map to mask. Those of a frame and split are made at once where the method can.
 
     Args:
         method: its name.
@@ -50,34 +52,53 @@ def render_step(
         adapter = kind.load(Path(model))
     loaded = {"load_seconds": spent.seconds}
     clock = {"load": spent.seconds + spent.compiling}
-    if not isinstance(adapter, MaskedAdapter):
-        wanted = [target for target in wanted if not target.masked]
+    can = {"masked": isinstance(adapter, MaskedAdapter), SPLITS: adapter.info.splits}
+    wanted = [target for target in wanted if takes_part(can, target)]
     stored = ConditionMasks(Path(masks))
     keeps = {target.key: stored[target.key].keep for target in wanted if target.masked}
 
-    def render(target: Target) -> Rendering:
+    def render(targets: Sequence[Target]) -> Sequence[Rendering]:
+        target, frame = targets[0], targets[0].frame
         if target.masked:
-            return adapter.render_masked(target.camera, target.frame, keeps[target.key])
-        return adapter.render(target.camera, target.frame)
+            return [adapter.render_masked(target.camera, frame, keeps[target.key])]
+        if isinstance(adapter, JointAdapter):
+            cameras = [one.camera for one in targets]
+            return checked_together(adapter.render_together(cameras, frame), cameras)
+        return [adapter.render(target.camera, frame)]
 
-    rendered = render_targets(render, wanted, Path(folder), warm_up)
+    groups = _groups(wanted, isinstance(adapter, JointAdapter))
+    rendered = render_targets(render, groups, Path(folder), warm_up)
     return {**loaded, **rendered, "clock": clock | rendered["clock"]}
 
 
+def _groups(targets: Sequence[Target], together: bool) -> list[list[Target]]:
+    """Targets that are rendered in one call: each alone, or unmasked ones by frame and split."""
+    groups: dict[tuple[Any, ...], list[Target]] = {}
+    for target in targets:
+        alone = target.masked or not together
+        key = (target.key,) if alone else (target.frame, target.split)
+        groups.setdefault(key, []).append(target)
+    return list(groups.values())
+
+
 def render_targets(
-    render: Callable[[Target], Rendering], targets: list[Target], folder: Path, warm_up: bool = True
+    render: Callable[[Sequence[Target]], Sequence[Rendering]],
+    groups: Sequence[Sequence[Target]],
+    folder: Path,
+    warm_up: bool = True,
 ) -> dict[str, Any]:
     """Write what is rendered of targets, and say how long that took.
 
     Args:
-        render: what is timed.
-        targets: one at least.
+        render: what is timed; from a group to a rendering of each of its targets.
+        groups: one at least, of one target at least.
         folder: where `<target key>.png` go.
-        warm_up: whether one view is rendered before.
+        warm_up: whether the first group is rendered before.
 
     Returns:
-        `warm_up_seconds`, of the view before (None without), `render_seconds`, the median a view,
-        and `clock`, the seconds of the parts that were announced.
+        `warm_up_seconds`, of the group before, a view (None without), `render_seconds`, the median
+        a view, and `clock`, the seconds of the parts that were announced. The views of a group
+        share its seconds alike.
 
     Raises:
         GeoEvsError: a picture has another size, type or range.
@@ -86,16 +107,18 @@ def render_targets(
     if warm_up:
         begin_part("warm-up")
         with timed() as spent:
-            render(targets[0])
-        before, clock["warm-up"] = spent.seconds, spent.seconds + spent.compiling
+            render(groups[0])
+        before = spent.seconds / len(groups[0])
+        clock["warm-up"] = spent.seconds + spent.compiling
     begin_part("views")
     seconds, whole = [], 0.0
-    for target in targets:
+    for group in groups:
         with timed() as spent:
-            rendering = render(target)
+            renderings = render(group)
         with timed() as writing:
-            write_image(folder / f"{target.key}.png", _picture(rendering, target))
-        seconds.append(spent.seconds)
+            for rendering, target in zip(renderings, group, strict=True):
+                write_image(folder / f"{target.key}.png", _picture(rendering, target))
+        seconds += [spent.seconds / len(group)] * len(group)
         whole += sum(part.seconds + part.compiling for part in (spent, writing))
     begin_part("end")
     clock["views"] = whole

@@ -27,7 +27,16 @@ from geoevs.core.machine import machine
 from geoevs.core.stamps import MADE_WITH, settings_hash
 from geoevs.core.text import clean
 from geoevs.methods.contract import ORACLES, Budget
-from geoevs.protocol.entries import FAILED, FINE, MethodEntry, failed, read_outcomes
+from geoevs.protocol.entries import (
+    FAILED,
+    FINE,
+    SPLITS,
+    MethodEntry,
+    failed,
+    read_outcomes,
+    read_splits,
+    takes_part,
+)
 from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.rows import COST_TYPES
 from geoevs.protocol.targets import read_targets
@@ -54,6 +63,8 @@ def fit_method(
 ) -> None:
     """Fit a method once for every set of sources that the targets use, and record the outcome.
 
+    Sets whose targets are all of splits that the method takes no part in are left out.
+
     Args:
         entry: the method, or one of ORACLES.
         scene: the scene store.
@@ -71,7 +82,7 @@ def fit_method(
     made_with = {"scene": Scene(scene).stamp, "settings": fit_settings(entry)}
     outcomes: dict[str, dict[str, Any]] = {}
     with _folder_of("fit", folder, outcomes, log) as partial:
-        for sources in _source_sets(targets):
+        for sources, splits in _source_sets(targets).items():
             model = partial / sources / "model"
             model.mkdir(parents=True)
             if entry.method in ORACLES:
@@ -87,11 +98,12 @@ def fit_method(
                 "sources": sources,
                 "budget": asdict(budget),
                 "folder": str(model.absolute()),
+                "splits": splits,
             }
             outcome = _attempt("fit", FIT_STEP, arguments, budget.threads, log, limit, attempt)
             if outcome["status"] == FAILED and model.is_dir() and any(model.iterdir()):
                 outcome["reason"] += f"; what it saved is in {folder / sources / 'model'}"
-            outcomes[sources] = outcome
+            outcomes[sources] = {**outcome, SPLITS: read_splits(model.parent)}
         for sources, outcome in outcomes.items():  # one fit may have removed another's model
             if outcome["status"] != FAILED and not (partial / sources / "model").is_dir():
                 outcome |= failed("fit", "the folder with the saved method was removed", log)
@@ -135,6 +147,10 @@ def render_method(
             fit = {key: value for key, value in fit.items() if key != "limit"}
             if fit["status"] == FAILED:
                 outcomes[sources] = {**fit, "attempt": attempt_after(attempt, False)}
+                continue
+            mine = [t for t in listed if t.sources == sources and takes_part(fit, t)]
+            if not mine:
+                outcomes[sources] = fit
                 continue
             step, read = RENDER_STEP, {"targets": targets, "masks": masks}
             read["model"] = model / sources / "model"
@@ -237,5 +253,9 @@ def _checked(result: Any, usage: Usage) -> dict[str, Any]:
     return told
 
 
-def _source_sets(targets: Path) -> list[str]:
-    return sorted({target.sources for target in read_targets(targets)})
+def _source_sets(targets: Path) -> dict[str, list[str]]:
+    """The splits of each set of sources, without the masked ones, which go with others."""
+    found: dict[str, set[str]] = {}
+    for target in read_targets(targets):
+        found.setdefault(target.sources, set()).add(target.unmasked.split)
+    return {sources: sorted(found[sources]) for sources in sorted(found)}

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from geoevs.core.errors import GeoEvsError
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, cause, read_outcomes
+from geoevs.protocol.entries import (
+    EMPTY_MASK,
+    FAILED,
+    OK,
+    MethodEntry,
+    cause,
+    read_outcomes,
+    takes_part,
+)
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.pictures import read_view
 from geoevs.protocol.regions import Answer
@@ -26,8 +34,8 @@ def score_method(
     """Score every target of a scene; a render or a view that failed gives rows that say so.
 
     Metrics that share features with distances of sets are left out: `score_sets` has their rows.
-    Methods without a condition map have no rows of masked targets, unless their fit failed: then
-    nobody could ask them.
+    Methods have no rows of splits that they take no part in. Those without a condition map have
+    none of masked targets, unless their fit failed: then nobody could ask them.
 
     Args:
         entry: who rendered.
@@ -47,7 +55,7 @@ def score_method(
                 "folder and rerun"
             )
         outcome = outcomes[target.sources]
-        if target.masked and not outcome.get("masked", True):
+        if not takes_part(outcome, target):
             continue
         preds, outcome = read_view(renders, target, outcome)
         plain = plain_columns(entry, answers, target, outcome, fingerprint)
@@ -135,7 +143,7 @@ def _score(name: str, preds: np.ndarray | None, answer: Answer) -> dict[str, Any
 
 
 def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
-    """Rows of the method's costs on this scene, one for every set of sources."""
+    """Rows of the method's costs on this scene, one for every set of sources it took part in."""
     blank = dict.fromkeys(COST_TYPES, 0) | {
         "fit_seconds": math.nan,
         "training_seconds": math.nan,
@@ -156,4 +164,6 @@ def cost_rows(entry: MethodEntry, answers: Answers) -> list[dict[str, Any]]:
             "device": "cuda" if outcome["gpu_memory"] else "cpu",
         }
         for sources, outcome in outcomes.items()
+        # A set of sources without a split that the method takes part in was not fitted.
+        if outcome["status"] == FAILED or "fit_seconds" in outcome
     ]

@@ -13,7 +13,14 @@ import numpy as np
 import pandas as pd
 
 from geoevs import layout
-from geoevs.protocol.entries import EMPTY_MASK, FAILED, OK, MethodEntry, read_outcomes
+from geoevs.protocol.entries import (
+    EMPTY_MASK,
+    FAILED,
+    OK,
+    MethodEntry,
+    read_outcomes,
+    takes_part,
+)
 from geoevs.protocol.learned_features import kept_features, write_features
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.pictures import read_view
@@ -129,7 +136,7 @@ def _scored_views(
     outcomes = read_outcomes(renders / "render.json")
     names = [name for name, spec in METRICS.items() if spec.with_sets]
     for target in answers.targets:
-        if target.split not in SET_SPLITS:
+        if target.split not in SET_SPLITS or not takes_part(outcomes[target.sources], target):
             continue
         regions = answers.regions(target, protocol["reference_keep"][0])
         if "dense" not in regions:

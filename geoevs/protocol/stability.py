@@ -17,7 +17,15 @@ from geoevs.core.isolate import (
     run_isolated,
 )
 from geoevs.core.text import clean
-from geoevs.protocol.entries import FAILED, FINE, OK, MethodEntry, failed
+from geoevs.protocol.entries import (
+    FAILED,
+    FINE,
+    OK,
+    SPLITS,
+    MethodEntry,
+    checked_splits,
+    failed,
+)
 from geoevs.protocol.pictures import PICTURES, seal_pictures
 from geoevs.protocol.stressors import STRESSORS, stressor_named
 from geoevs.protocol.targets import ALL_CAMERAS, Target, check_distinct, read_targets
@@ -259,7 +267,8 @@ def _outcome(path: Path) -> dict[str, Any] | None:
     shape = isinstance(told, dict) and told.keys() >= {*FINE, "attempt"}
     if not shape or told["status"] not in (OK, FAILED) or type(told["attempt"]) is not int:
         return None
-    return {**{key: clean(str(told[key])) for key in FINE}, "attempt": told["attempt"]}
+    said = {key: clean(str(told[key])) for key in FINE}
+    return {**said, "attempt": told["attempt"], SPLITS: checked_splits(told.get(SPLITS))}
 
 
 def clean_settings(settings: dict[str, Any], scene: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pandas as pd
 from geoevs import layout
 from geoevs.core.files import read_json
 from geoevs.geometry.moving import pixels_in_boxes
-from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause
+from geoevs.protocol.entries import FAILED, FINE, MethodEntry, cause, takes_part
 from geoevs.protocol.metrics import METRICS
 from geoevs.protocol.pictures import read_view
 from geoevs.protocol.regions import Answer
@@ -62,6 +62,8 @@ def score_stresses(
         outcome = read_json(folder / OUTCOME_FILE)
         for target in world.targets:
             if group != CLEAN and target.split != "extrapolation":
+                continue
+            if not takes_part(outcome, target):
                 continue
             preds, ending = read_view(folder, target, outcome)
             shared = {**common, **describe(entry, target), **cause(ending), "seed": stress.draw}

@@ -10,7 +10,7 @@ from geoevs.core.attempts import attempt_after
 from geoevs.core.errors import reason_of
 from geoevs.core.files import write_json
 from geoevs.core.isolate import MACHINE, begin_part, is_machine_fault
-from geoevs.protocol.entries import FINE, failed
+from geoevs.protocol.entries import FINE, SPLITS, failed, read_splits
 from geoevs.protocol.fit_step import fit_step
 from geoevs.protocol.render_step import render_step
 from geoevs.protocol.stability import OUTCOME_FILE
@@ -48,7 +48,9 @@ def stability_step(
     with tempfile.TemporaryDirectory() as scratch:
         target_list = Path(scratch) / "targets.json"
         listed = read_targets(Path(targets))
-        write_targets(target_list, [t for t in listed if splits is None or t.split in splits])
+        wanted = [t for t in listed if splits is None or t.split in splits]
+        write_targets(target_list, wanted)
+        asked = sorted({target.split for target in wanted})
         certain: dict[str, Path] = {}  # by scene: what a fit that is not random has left
         for stress in stresses:
             place = Path(folder) / stress["key"]
@@ -62,13 +64,14 @@ def stability_step(
                 begin_part(stage, limit=limits[stage])
                 with tempfile.TemporaryDirectory(dir=scratch) as model:
                     budget = {"seconds": None, "threads": 1}
-                    arguments = (stress["seed"], ALL_CAMERAS, budget, model)
+                    arguments = (stress["seed"], ALL_CAMERAS, budget, model, asked)
                     fit = fit_step(stress["scene"], method, options, *arguments)
-                    stage = "render"
-                    begin_part(stage, limit=limits[stage])
-                    views = (str(target_list), ALL_CAMERAS)
-                    render_step(method, *views, model, masks, str(place), warm_up=False)
-                if not fit["random"]:
+                    if fit:
+                        stage = "render"
+                        begin_part(stage, limit=limits[stage])
+                        views = (str(target_list), ALL_CAMERAS)
+                        render_step(method, *views, model, masks, str(place), warm_up=False)
+                if not fit.get("random"):
                     certain[stress["scene"]] = place
             except Exception as error:
                 traceback.print_exc()
@@ -76,4 +79,5 @@ def stability_step(
                 reason = f"{MACHINE}: {reason_of(error)}" if fault else reason_of(error)
                 outcome = failed(stage, reason, log)
                 outcome["attempt"] = attempt_after(attempt, fault)
+            outcome[SPLITS] = read_splits(Path(scratch))
             write_json(place / OUTCOME_FILE, outcome)

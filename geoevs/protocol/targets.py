@@ -10,6 +10,7 @@ from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.files import read_json, write_json
 from geoevs.core.names import check_name
 from geoevs.core.randomness import Rng
+from geoevs.core.splits import PLAIN_SPLITS
 from geoevs.core.stamps import MADE_WITH, NOTHING, Stamp
 from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, angle_between, view_key
@@ -27,12 +28,7 @@ target whose view it shares."""
 RECORDED_SPLITS = ("observed", "interpolation", f"{MASKED}observed")
 """Splits whose targets a camera recorded, so that its image is dense truth."""
 
-SPLITS = (
-    *RECORDED_SPLITS,
-    *("extrapolation", f"{MASKED}extrapolation", "pose-sweep"),
-    *("lateral", "yaw"),  # of stability
-    *("detection", "rig-offset"),  # of detection
-)
+SPLITS = (*PLAIN_SPLITS, f"{MASKED}observed", f"{MASKED}extrapolation")
 TARGET_FIELDS = (
     *("split", "frame", "name", "sources", "pose_offset", "lateral_shift"),
     "mask_camera",

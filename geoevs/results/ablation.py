@@ -65,7 +65,7 @@ def make_ablation_table(
         over the views that all of them delivered;
         `_paper` where the paper has it; `failed` views, `partial` (measures whose mean lacks views
         that other variants have), `note`, `method`, and the entrant's `name`, `paradigm`,
-        `extra_prior` and `needs`.
+        `extra_prior`, `needs` and `sees`.
         A data set without any variant has one row that says so.
 
     Raises:

@@ -39,7 +39,7 @@ def audit_tables(
 ) -> dict[str, pd.DataFrame]:
     """Every table of the audit, by name; of data without dense truth most are empty.
 
-    That of entrants has their `name`, `paradigm`, `extra_prior` and `needs` too.
+    That of entrants has their `name`, `paradigm`, `extra_prior`, `needs` and `sees` too.
     """
     makers = (agreement, support_bias, reference_errors, ceiling, harm)
     tables = {make.__name__: make(rows, settings) for make in makers}

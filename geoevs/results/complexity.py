@@ -64,8 +64,8 @@ def make_complexity_table(
         Columns `dataset`, `method`, `scene`, of the chosen size `chosen` (primitives), `psnr` and
         `seconds`, of the best fixed one `best`, `best_variant`, `best_psnr` and `best_seconds`,
         `regret_db`, `regret_seconds`, `note`, `timed_on`, a sentence on the machines of the data
-        set's fits where they are several, and the method's `name`, `paradigm`, `extra_prior` and
-        `needs`. A data set without fixed sizes has one row that says so.
+        set's fits where they are several, and the method's `name`, `paradigm`, `extra_prior`,
+        `needs` and `sees`. A data set without fixed sizes has one row that says so.
 
     Raises:
         GeoEvsError: the rows come from different protocols.

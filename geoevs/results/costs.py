@@ -47,7 +47,7 @@ def make_cost_table(costs: pd.DataFrame, entrants: Entrants) -> pd.DataFrame:
         A row for every data set, method and variant, in the rows' order: the keys of COLUMNS,
         `n` fits, `failed` fits, `device`, `threads`, `note`, what the methods said of the fits,
         `machines`, those of the fits, `timed_on`, a sentence on those of the data set where they
-        are several, and the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
+        are several, and the entrant's `name`, `paradigm`, `extra_prior`, `needs` and `sees`.
     """
     rows = costs[costs["sources"] == ALL_CAMERAS].assign(
         peak_memory_mb=costs["peak_memory"] / 1e6,

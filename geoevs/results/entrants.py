@@ -28,6 +28,7 @@ class Info:
     paradigm: str = ""
     extra_prior: str = ""
     needs: str = ""
+    sees: str = ""
 
 
 INFO = [field.name for field in fields(Info)]

@@ -13,7 +13,9 @@ def paper_values(table: str) -> dict[str, Any]:
 
 
 def paper_method(method: str) -> dict[str, str]:
-    """The paper's `name` of a method, and its `paradigm` and `extra_prior` where it says them.
+    """The paper's `name` of a method, what it `sees`, and the words that the paper has for it.
+
+    Those are its `paradigm` and `extra_prior`, where the paper says them.
 
     Nothing of a method that the paper does not have.
     """

@@ -242,7 +242,7 @@ def breaking_points(
         level. `control` is the best one there that lacks none, `lead` by how much the method is
         above it without stress, in the metric's unit. Levels at which no control has a value of
         every view judge nobody; where that is all of them, the row is empty. The method's `name`,
-        `paradigm`, `extra_prior` and `needs` come last.
+        `paradigm`, `extra_prior`, `needs` and `sees` come last.
     """
     curves: dict[tuple, dict[tuple[str, str], Curve]] = {}
     for key, rows in _curves(scores[scores["metric"].isin(JUDGED_BY)]):

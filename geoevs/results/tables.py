@@ -49,7 +49,7 @@ def make_table(
         `below_floor` (metrics that the floor beats, on the views that both delivered), `partial`
         (metrics whose mean lacks views that others have), `note`, `unmeasured` (metrics that this
         machine lacks the weights for, and why), `outside` (what is said of views in no bin), and
-        the entrant's `name`, `paradigm`, `extra_prior` and `needs`.
+        the entrant's `name`, `paradigm`, `extra_prior`, `needs` and `sees`.
 
     Raises:
         GeoEvsError: there is no such table, or the rows come from different protocols.

@@ -8,6 +8,12 @@ import pandas as pd
 
 from geoevs.scenes.scene import TRACK_COLUMNS
 
+SIGNS = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+"""(8, 3) of a box's corners, in its own axes."""
+
+EDGES = np.array([(i, j) for i in range(8) for j in range(i) if (SIGNS[i] != SIGNS[j]).sum() == 1])
+"""(12, 2) the corners that a box's edges join."""
+
 
 class Box(NamedTuple):
     """A row of tracks: metres, and degrees about the world's vertical axis (see TRACK_COLUMNS)."""
@@ -52,6 +58,11 @@ class Box(NamedTuple):
         """(N,) bool: the points inside, or at most `margin` metres beyond a face."""
         half = np.array([self.length, self.width, self.height]) / 2 + margin
         return (np.abs(self.local(points)) <= half).all(axis=1)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(8, 3) in the world; the first four are those of its front face."""
+        return self.world(SIGNS * np.array([self.length, self.width, self.height]) / 2)
 
     def scaled(self, factor: float) -> Self:
         """The box about the same centre, its sides multiplied."""

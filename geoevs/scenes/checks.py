@@ -27,6 +27,9 @@ from geoevs.scenes.virtual import yaw_gap
 LAST_FRAME = 999_999
 """Files of frames have six digits."""
 
+LONGEST_TAG = 100
+"""Characters of a tag at most."""
+
 LONGEST_BOX = 100.0
 """Metres of a box's side at most; the longest thing on a street is a tram."""
 
@@ -125,7 +128,7 @@ def check_info(info: SceneInfo, where: Where) -> None:
 
     Raises:
         GeoEvsError: a name that is no path's part, a camera named twice, none or too many cameras,
-            or an origin that is no place.
+            an origin that is no place, or a tag that is no text.
     """
     check_name(info.name, "scene", where)
     for role in fields(Rig)[:3]:
@@ -146,6 +149,12 @@ def check_info(info: SceneInfo, where: Where) -> None:
     for metres in info.origin:
         number(metres, "the origin", where)
     number(info.box_delay, "box_delay", where)
+    for tag in info.tags:
+        if not isinstance(tag, str) or not tag or tag != clean(tag, LONGEST_TAG):
+            raise GeoEvsError(
+                f"{where}: the tag {_shown(tag)} is no text of 1 to {LONGEST_TAG} characters in a "
+                "line; correct it"
+            )
     if not isinstance(info.redistribute, bool):
         raise GeoEvsError(f"{where}: 'redistribute' is neither true nor false; correct it")
 

@@ -1,7 +1,7 @@
 """What only some data sources know of a scene, and where its store keeps it.
 
 ego/<camera>.png           white where the camera sees the car that carries it
-map.json                   features of the road map
+map.npz                    the road map (see `geoevs.scenes.road_map.ARRAYS`)
 no-label-zones.json        polygons without boxes, by frame
 synced-tracks.parquet      boxes at the instants of the cameras, which `camera` names
 """
@@ -14,14 +14,21 @@ import numpy as np
 import pandas as pd
 
 from geoevs.core.errors import GeoEvsError, did_you_mean
-from geoevs.core.files import read_json, whole_file, write_bytes, write_json
+from geoevs.core.files import (
+    read_arrays,
+    read_json,
+    whole_file,
+    write_arrays,
+    write_bytes,
+    write_json,
+)
 from geoevs.core.images import read_image, write_image
-from geoevs.core.names import check_name
 from geoevs.core.text import clean
 from geoevs.scenes.checks import Where, check_tracks, frame_number, number
-from geoevs.scenes.scene import MAP_SHAPES, TRACK_COLUMNS, MapFeature, SceneExtras
+from geoevs.scenes.road_map import RoadMap, check_road_map, map_arrays, map_from_arrays
+from geoevs.scenes.scene import TRACK_COLUMNS, SceneExtras
 
-EGO, MAP, ZONES, SYNCED = "ego", "map.json", "no-label-zones.json", "synced-tracks.parquet"
+EGO, MAP, ZONES, SYNCED = "ego", "map.npz", "no-label-zones.json", "synced-tracks.parquet"
 
 
 def write_extras(folder: Path, extras: SceneExtras) -> None:
@@ -29,12 +36,8 @@ def write_extras(folder: Path, extras: SceneExtras) -> None:
     for camera, mask in extras.ego_masks.items():
         picture = np.repeat(mask[..., None], 3, axis=2).astype(np.uint8) * 255
         write_image(folder / EGO / f"{camera}.png", picture)
-    if extras.map_features:
-        features = [
-            {"kind": kind, "shape": shape, "points": points.tolist()}
-            for kind, shape, points in extras.map_features
-        ]
-        write_json(folder / MAP, features)
+    if extras.road_map is not None:
+        write_arrays(folder / MAP, map_arrays(extras.road_map))
     if extras.no_label_zones:
         zones = {
             str(frame): [zone.tolist() for zone in polygons]
@@ -55,8 +58,8 @@ def check_extras(extras: SceneExtras, sizes: Mapping[str, tuple[int, int]], wher
         where: they stand, for errors.
 
     Raises:
-        GeoEvsError: a mask of a camera that there is not, or of another size; a map feature or
-            zone that is none; boxes that cannot be, or of a camera that there is not.
+        GeoEvsError: a mask of a camera that there is not, or of another size; a map or zone that is
+            none; boxes that cannot be, or of a camera that there is not.
     """
     for camera, mask in extras.ego_masks.items():
         _check_camera(camera, sizes, f"{where}: the mask of the ego car")
@@ -69,16 +72,12 @@ def check_extras(extras: SceneExtras, sizes: Mapping[str, tuple[int, int]], wher
             raise GeoEvsError(
                 f"{where}: camera '{camera}' sees nothing but the ego car; leave the camera out"
             )
-    for feature in extras.map_features:
-        check_name(feature.kind, "kind of map feature", where)
-        if feature.shape not in MAP_SHAPES:
-            hint = did_you_mean(str(feature.shape), MAP_SHAPES)
-            raise GeoEvsError(f"{where}: a map feature is no '{clean(feature.shape, 40)}'; {hint}")
-        _check_outline(feature.points, 3, f"{where}: a map feature '{feature.kind}'")
+    if extras.road_map is not None:
+        check_road_map(extras.road_map, where)
     for frame, polygons in extras.no_label_zones.items():
         frame_number(frame, where)
         for polygon in polygons:
-            _check_outline(polygon, 2, f"{where}: a zone without boxes in frame {frame}")
+            _check_zone(polygon, f"{where}: a zone without boxes in frame {frame}")
     if extras.synced_tracks is not None:
         check_tracks(extras.synced_tracks, where)
         if "camera" not in extras.synced_tracks:
@@ -95,9 +94,9 @@ def _check_camera(camera: Any, sizes: Mapping[str, Any], who: str) -> None:
         raise GeoEvsError(f"{who} names camera '{clean(str(camera), 40)}'; {hint}")
 
 
-def _check_outline(points: np.ndarray, dimensions: int, who: str) -> None:
-    if points.ndim != 2 or points.shape[1] != dimensions or not len(points):
-        raise GeoEvsError(f"{who} has no points of {dimensions} metres each; correct it")
+def _check_zone(points: np.ndarray, who: str) -> None:
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
+        raise GeoEvsError(f"{who} has no points of 2 metres each; correct it")
     if points.dtype.kind != "f" or not np.isfinite(points).all():
         raise GeoEvsError(f"{who} has points that are NaN or infinite; correct it")
 
@@ -117,26 +116,14 @@ def read_ego_masks(folder: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[s
     return masks
 
 
-def read_map(folder: Path) -> list[MapFeature]:
-    """The road map of a store; empty where its source has none.
+def read_map(folder: Path) -> RoadMap | None:
+    """The road map of a store; None where its source has none.
 
     Raises:
         GeoEvsError: the file is damaged, or holds something else.
     """
     path = folder / MAP
-    if not path.exists():
-        return []
-    described = read_json(path)
-    if not isinstance(described, list):
-        raise GeoEvsError(f"{path} lists no map features; remake the store")
-    features = []
-    for entry in described:
-        if not (isinstance(entry, dict) and entry.keys() == set(MapFeature._fields)):
-            raise GeoEvsError(f"{path} has an entry that is no map feature; remake the store")
-        points = _outline(entry["points"], path)
-        features.append(MapFeature(entry["kind"], entry["shape"], points))
-    check_extras(SceneExtras(map_features=features), {}, path)
-    return features
+    return map_from_arrays(read_arrays(path), path) if path.exists() else None
 
 
 def read_zones(folder: Path) -> dict[int, list[np.ndarray]]:

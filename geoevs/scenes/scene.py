@@ -14,9 +14,9 @@ from geoevs.core.plugins import find_plugins, load_plugin, one_sentence
 from geoevs.core.settings import check_options
 from geoevs.core.stamps import Stamp
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.road_map import RoadMap
 
 LIDAR_SPLITS = ("sensor", "beam")
-MAP_SHAPES = ("polygon", "polyline", "point")
 MOST_CAMERAS = 127
 """Cameras of a scene at most, as a point's `camera` is an int8."""
 
@@ -147,7 +147,8 @@ class SceneInfo:
     `origin` is what was subtracted from its source's coordinates, in metres (see `scene_origin`);
     `made_with` tells the settings and the data of the store. `redistribute` is whether the licence
     lets anybody hand on the pictures. `box_delay` is seconds from a frame's timestamp to the
-    instant of its boxes.
+    instant of its boxes. `tags` are what a prompt would say of all its pictures, such as `junction`
+    or `overcast`.
     """
 
     name: str
@@ -159,20 +160,7 @@ class SceneInfo:
     made_with: Stamp = field(default_factory=dict)
     redistribute: bool = False
     box_delay: float = 0.0
-
-
-class MapFeature(NamedTuple):
-    """A piece of the road map.
-
-    Args:
-        kind: what it is, in its source's words, such as `crosswalk`.
-        shape: of MAP_SHAPES; a polygon's last corner joins its first.
-        points: (N, 3) float64 metres in the world.
-    """
-
-    kind: str
-    shape: str
-    points: np.ndarray
+    tags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -182,14 +170,14 @@ class SceneExtras:
     Args:
         ego_masks: (H, W) bool by camera: the pixels where it sees the car that carries it, in every
             frame. They count in no score, condition or colouring.
-        map_features: the road map around the scene.
+        road_map: the ground around the scene.
         no_label_zones: by frame, polygons (N, 2) float64 metres of the world's ground plane in
             which nobody drew boxes.
         synced_tracks: boxes with TRACK_COLUMNS and `camera`, at the instant of that camera's image.
     """
 
     ego_masks: Mapping[str, np.ndarray] = field(default_factory=dict)
-    map_features: Sequence[MapFeature] = ()
+    road_map: RoadMap | None = None
     no_label_zones: Mapping[int, Sequence[np.ndarray]] = field(default_factory=dict)
     synced_tracks: pd.DataFrame | None = None
 

@@ -46,6 +46,7 @@ from geoevs.scenes.checks import (
     timestamp,
 )
 from geoevs.scenes.extras import (
+    MAP,
     check_extras,
     read_ego_masks,
     read_map,
@@ -54,12 +55,12 @@ from geoevs.scenes.extras import (
     write_extras,
 )
 from geoevs.scenes.interop import ThinnedPoints, write_ply
+from geoevs.scenes.road_map import RoadMap
 from geoevs.scenes.scene import (
     NO_EXTRAS,
     TRACK_COLUMNS,
     Exposure,
     Frame,
-    MapFeature,
     PointCloud,
     Rig,
     SceneExtras,
@@ -76,8 +77,17 @@ def write_scene(
     tracks: pd.DataFrame,
     frames: Iterator[Frame],
     extras: SceneExtras = NO_EXTRAS,
+    unseen: bool = False,
 ) -> None:
     """Write a scene store, whole or not at all, reading one frame at a time.
+
+    Args:
+        folder: the store.
+        info: the scene's description.
+        tracks: its boxes.
+        frames: read once.
+        extras: what its source knows besides.
+        unseen: whether frames may lack images, for a method that must not see them.
 
     Raises:
         GeoEvsError: the scene has no frame, a camera lacks an image, something cannot be true of
@@ -94,10 +104,12 @@ def write_scene(
         for frame in frames:
             where = f"frame {frame_number(frame.frame, who)} of {who}"
             seconds = timestamp(frame.timestamp, where, seconds)
-            points = _checked_frame(info, frame, where)
+            points = _checked_frame(info, frame, where, unseen)
             for name in info.cameras:
-                path = f"images/{view_key(name, frame.frame)}.png"
-                write_image(partial / path, frame.images[name])
+                path = None
+                if name in frame.images:
+                    path = f"images/{view_key(name, frame.frame)}.png"
+                    write_image(partial / path, frame.images[name])
                 entry = {
                     "file_path": path,
                     "camera": name,
@@ -109,7 +121,7 @@ def write_scene(
                 if name in frame.exposures:
                     entry["exposure"] = list(frame.exposures[name])
                 entries.append(entry)
-                sizes[name] = frame.images[name].shape[:2]
+                sizes[name] = frame.cameras[name].height, frame.cameras[name].width
             thinned.add(points)
             arrays = {name: getattr(points, name) for name in POINT_FIELDS}
             write_arrays(partial / f"lidar/{frame.frame:06d}.npz", arrays)
@@ -128,11 +140,13 @@ def write_scene(
         write_json(partial / "scene.json", described)
 
 
-def _checked_frame(info: SceneInfo, frame: Frame, where: str) -> PointCloud:
+def _checked_frame(info: SceneInfo, frame: Frame, where: str, unseen: bool) -> PointCloud:
     """A frame's points, after all that it holds was checked."""
     for name in info.cameras:
-        if name not in frame.cameras or name not in frame.images:
+        if name not in frame.cameras or (name not in frame.images and not unseen):
             raise GeoEvsError(f"{where} has no camera '{name}'; supply it or leave out the frame")
+        if name not in frame.images:
+            continue
         camera, image = frame.cameras[name], frame.images[name]
         if image.shape != (camera.height, camera.width, 3):
             raise GeoEvsError(
@@ -153,11 +167,11 @@ def _read_info(path: Path) -> SceneInfo:
         described["rig"] = Rig(**_fields(described["rig"], Rig, path))
     except GeoEvsError as error:
         raise error if str(path) in str(error) else GeoEvsError(f"{path}: {error}") from error
-    for name in ("cameras", "origin"):
+    for name in ("cameras", "origin", "tags"):
         if not isinstance(described.get(name, []), list):
             raise GeoEvsError(f"{path} describes no scene ('{name}' is no list); remake the store")
     described |= {
-        name: tuple(described[name]) for name in ("cameras", "origin") if name in described
+        name: tuple(described[name]) for name in ("cameras", "origin", "tags") if name in described
     }
     if not isinstance(described.get("made_with", {}), dict):
         raise GeoEvsError(f"{path} describes no scene ('made_with' is none); remake the store")
@@ -183,10 +197,10 @@ def _fields(value: Any, kind: type, path: Path) -> dict[str, Any]:
 
 
 class _View(NamedTuple):
-    """What a camera recorded in a frame."""
+    """What a camera recorded in a frame; no image where the store's reader must not see it."""
 
     camera: Camera
-    image: Path
+    image: Path | None
     timestamp: float
     exposure: Exposure | None
 
@@ -216,12 +230,15 @@ def _read_views(folder: Path, cameras: tuple[str, ...]) -> dict[tuple[str, int],
         for field in ("file_path", "timestamp"):
             if field not in entry:
                 raise GeoEvsError(f"{who} lacks '{field}'; add it")
-        image = inside(folder, entry["file_path"], path)
+        image = None
+        if entry["file_path"] is not None:
+            image = inside(folder, entry["file_path"], path)
         if key in views or image in images:
             raise GeoEvsError(f"{who} stands there twice, or has another view's image; correct it")
-        if not image.is_file():
-            raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
-        images.add(image)
+        if image is not None:
+            if not image.is_file():
+                raise GeoEvsError(f"{image} is missing; copy it there or drop its frame")
+            images.add(image)
         camera = camera_from_json(entry, name, path)
         exposure = entry.get("exposure")
         views[key] = _View(
@@ -266,9 +283,9 @@ class Scene:
 
     @cached_property
     def stamp(self) -> str:
-        """Hash of what the store says of itself: what it was made with, its cameras and poses."""
-        files = ("scene.json", "transforms.json")
-        return text_hash(" ".join(file_hash(self.folder / name) for name in files))
+        """Hash of what the store says of itself: made with what, its cameras and poses, its map."""
+        files = [self.folder / name for name in ("scene.json", "transforms.json", MAP)]
+        return text_hash(" ".join(file_hash(path) for path in files if path.exists()))
 
     def camera(self, name: str, frame: int) -> Camera:
         """The calibrated camera `name` in `frame`."""
@@ -278,9 +295,10 @@ class Scene:
         """(H, W, 3) float32 in [0, 1]: what camera `name` recorded in `frame`.
 
         Raises:
-            GeoEvsError: the file is no image, or one of another size than its camera.
+            GeoEvsError: there is none, the file is no image, or one of another size than its
+                camera.
         """
-        camera, path = self._view(name, frame)[:2]
+        camera, path = self.camera(name, frame), self.image_path(name, frame)
         image = read_image(path)
         if image.shape[:2] != (camera.height, camera.width):
             raise GeoEvsError(
@@ -290,8 +308,18 @@ class Scene:
         return to_float(image)
 
     def image_path(self, name: str, frame: int) -> Path:
-        """The file of what camera `name` recorded in `frame`."""
-        return self._view(name, frame).image
+        """The file of what camera `name` recorded in `frame`.
+
+        Raises:
+            GeoEvsError: the store has none, as it was written for a method that must not see it.
+        """
+        path = self._view(name, frame).image
+        if path is None:
+            raise GeoEvsError(
+                f"{self.folder} has no image of camera '{name}' in frame {frame}; it was saved by "
+                "a method that does not see it"
+            )
+        return path
 
     def timestamp(self, frame: int) -> float:
         """Seconds at which `frame` was recorded."""
@@ -307,8 +335,8 @@ class Scene:
         return read_ego_masks(self.folder, self._sizes)
 
     @cached_property
-    def map_features(self) -> list[MapFeature]:
-        """The road map; empty where the source has none."""
+    def road_map(self) -> RoadMap | None:
+        """The ground around the scene; None where the source has no map."""
         return read_map(self.folder)
 
     @cached_property
@@ -326,7 +354,7 @@ class Scene:
         synced = self.synced_tracks
         return SceneExtras(
             {name: mask for name, mask in self.ego_masks.items() if name in cameras},
-            self.map_features,
+            self.road_map,
             self.no_label_zones,
             None if synced is None else synced[synced["camera"].isin(cameras)],
         )

@@ -1,12 +1,10 @@
 """Pictures of a frame with its LiDAR points and boxes drawn over its images."""
 
-from itertools import combinations
-
 import cv2
 import numpy as np
 
 from geoevs.projection import project_points, zbuffer
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import EDGES, Box
 from geoevs.scenes.camera import Camera
 
 NEAREST, FARTHEST = 2.0, 80.0
@@ -38,22 +36,17 @@ def overlay(
 
 
 def _draw(image: np.ndarray, camera: Camera, box: Box) -> None:
-    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-    corners = box.world(signs * np.array([box.length, box.width, box.height]) / 2)
-    local = corners @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
-    for one, other in combinations(range(8), 2):
-        if (signs[one] != signs[other]).sum() == 1:
-            ends = _before(local[one], local[other])
-            if ends is None:
-                continue
-            uv, _ = project_points(
-                ends @ camera.world_from_camera[:3, :3].T + camera.centre, camera
-            )
-            # OpenCV counts a pixel's centre as a whole number, and takes no huge ones.
-            if np.abs(uv).max() < 1e5:
-                start, end = (tuple(map(int, np.rint(16 * (p - 0.5)))) for p in uv)
-                colour = FRONT if signs[one, 0] == signs[other, 0] == 1 else BOX
-                cv2.line(image, start, end, colour, 1, cv2.LINE_AA, shift=4)
+    local = box.corners @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    for edge in EDGES:
+        ends = _before(*local[edge])
+        if ends is None:
+            continue
+        uv, _ = project_points(ends @ camera.world_from_camera[:3, :3].T + camera.centre, camera)
+        # OpenCV counts a pixel's centre as a whole number, and takes no huge ones.
+        if np.abs(uv).max() < 1e5:
+            start, end = (tuple(map(int, np.rint(16 * (p - 0.5)))) for p in uv)
+            colour = FRONT if (edge < 4).all() else BOX
+            cv2.line(image, start, end, colour, 1, cv2.LINE_AA, shift=4)
 
 
 def _before(one: np.ndarray, other: np.ndarray) -> np.ndarray | None:

@@ -8,10 +8,11 @@ import pytest
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_json
 from geoevs.core.randomness import Rng
-from geoevs.methods.check import VIRTUAL, contract_failures
+from geoevs.methods.check import contract_failures
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.finding import make_method
 from geoevs.methods.tiny import MOUNT, tiny_camera, write_tiny_scene
+from geoevs.methods.trial import VIRTUAL
 
 METHODS = ("geo-evs", "geo-evs-support")
 

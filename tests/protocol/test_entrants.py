@@ -34,7 +34,7 @@ def test_an_entrant_says_who_it_is():
     (made,) = describe_entrants({"three-dgs.small": {"gaussians": 9}}).values()
     assert made["name"] == "3DGS"
     assert (made["paradigm"], made["extra_prior"]) == ("reconstruction", "none")
-    assert made["needs"] == "sfm lidar"
+    assert (made["needs"], made["sees"], made["splits"]) == ("sfm lidar", "views", "")
     assert made["citation"].startswith("Kerbl et al.")
 
 
@@ -76,7 +76,7 @@ def test_a_control_is_one_wherever_it_lies(adapter, tmp_path):
 def test_one_that_cannot_say_so_has_its_bare_name(adapter, text):
     (made,) = describe_entrants({adapter("mine", text): {}}).values()
     assert made["name"] == "mine"
-    assert {made[key] for key in ("paradigm", "extra_prior", "needs", "citation")} == {""}
+    assert {made[key] for key in ("paradigm", "extra_prior", "needs", "sees", "citation")} == {""}
 
 
 def test_its_words_are_text_of_one_line(adapter):

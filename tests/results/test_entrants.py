@@ -37,7 +37,7 @@ def test_a_nameless_method_has_its_bare_name():
 
 @pytest.mark.parametrize("said", [None, [], {}, 3, True])
 def test_what_is_no_text_describes_nobody(tmp_path, said):
-    who = {"name": "A", "paradigm": "", "extra_prior": "", "needs": ""}
+    who = {"name": "A", "paradigm": "", "extra_prior": "", "needs": "", "sees": ""}
     write_json(tmp_path / "entrants.json", {"a": {**who, "needs": said}})
     with pytest.raises(GeoEvsError, match=r"entrants\.json does not say who plays"):
         Entrants.read(tmp_path / "entrants.json")
@@ -53,14 +53,15 @@ def test_the_paradigm_alone_makes_a_control():
 
 def test_a_table_is_described_behind_its_own_columns():
     table = pd.DataFrame({"method": ["a", "b"], "variant": ["default", "wide"]}, index=[4, 2])
-    made = Entrants({"b.wide": Info("B", "control", "none", "lidar")}).describe(table)
-    assert made.loc[4].tolist() == ["a", "default", "a", "", "", ""]
-    assert made.loc[2].tolist() == ["b", "wide", "B (wide)", "control", "none", "lidar"]
+    made = Entrants({"b.wide": Info("B", "control", "none", "lidar", "views")}).describe(table)
+    assert made.loc[4].tolist() == ["a", "default", "a", "", "", "", ""]
+    assert made.loc[2].tolist() == ["b", "wide", "B (wide)", "control", "none", "lidar", "views"]
     assert list(Entrants({}).describe(table[:0]))[2:] == [
         "name",
         "paradigm",
         "extra_prior",
         "needs",
+        "sees",
     ]
 
 

@@ -15,10 +15,10 @@ SETTINGS = TableSettings(
 )
 ENTRANTS = Entrants(
     {
-        "reproject": Info("Reprojection", "control", "none", "lidar"),
+        "reproject": Info("Reprojection", "control", "none", "lidar", "views"),
         "reference": Info("Reference", "control"),
         "mean-colour": Info("Mean colour", "control"),
-        "geo-evs": Info("Ours", "diffusion", "a latent prior", "lidar training"),
+        "geo-evs": Info("Ours", "diffusion", "a latent prior", "lidar training", "views"),
         "zeta.wide": Info("Zeta", "control"),
     }
 )
@@ -52,13 +52,14 @@ def test_the_paper_comes_first_then_methods_then_controls(table):
 
 def test_who_plays_is_said_in_the_last_columns(table):
     made = table("observed", {"method": "geo-evs"}, {"method": "zeta"}, {"method": "reproject"})
-    assert list(made)[-4:] == ["name", "paradigm", "extra_prior", "needs"]
-    shown = {row["method"]: tuple(row.values())[-4:] for row in made.to_dict("records")}
+    assert list(made)[-5:] == ["name", "paradigm", "extra_prior", "needs", "sees"]
+    shown = {row["method"]: tuple(row.values())[-5:] for row in made.to_dict("records")}
     # The paper's name, but what was run here; of what was not run, what the paper says.
-    assert shown["geo-evs"] == ("Geo-EVS", "diffusion", "a latent prior", "lidar training")
-    assert shown["bevgen"] == ("BEVGen", "autoregression", "none", "")
-    assert shown["reproject"] == ("Reprojection", "control", "none", "lidar")
-    assert shown["zeta"] == ("zeta", "", "", "")
+    words = ("Geo-EVS", "diffusion", "a latent prior", "lidar training", "views")
+    assert shown["geo-evs"] == words
+    assert shown["bevgen"] == ("BEVGen", "autoregression", "none", "", "layout")
+    assert shown["reproject"] == ("Reprojection", "control", "none", "lidar", "views")
+    assert shown["zeta"] == ("zeta", "", "", "", "")
 
 
 def test_a_variant_alone_may_be_a_control(table):

@@ -72,7 +72,7 @@ def honest(run, tmp_path_factory):
     rows = score_frame(scores), cost_frame(costs), set_frame(sets)
     for name, frame in zip((layout.SCORES, layout.COSTS, layout.SET_SCORES), rows, strict=True):
         write_parquet(run / name, frame)
-    said = {"paradigm": "", "extra_prior": "", "needs": ""}
+    said = {"paradigm": "", "extra_prior": "", "needs": "", "sees": ""}
     write_json(run / layout.ENTRANTS, {"grey": {"name": "Grey", **said}})
     entrants = Entrants.read(run / layout.ENTRANTS)
     config = {"tables": dataclasses.asdict(SETTINGS), "methods": {"grey": {}}, "protocol": protocol}

@@ -18,7 +18,8 @@ from geoevs.scenes.camera_json import camera_from_json
 from geoevs.scenes.scene import TRACK_COLUMNS, Frame, PointCloud, Rig, SceneInfo, SceneRef
 from geoevs.scenes.store import Scene, write_scene
 
-INFO = SceneInfo("a", "made up", "CC0-1.0", Rig("front", "left", "right", "beam"), ("front",))
+RIG = Rig("front", "left", "right", "beam")
+INFO = SceneInfo("a", "made up", "CC0-1.0", RIG, ("front",), tags=("curve", "low sun"))
 TRACKS = pd.DataFrame([], columns=list(TRACK_COLUMNS))
 
 
@@ -310,6 +311,11 @@ def test_an_image_of_another_size_than_its_camera_is_refused(tiny):
         ({"licence": 5}, "the licence is no text"),
         ({"origin": [0, 0]}, "the origin is no list of three metres"),
         ({"origin": [0, 0, "up"]}, "the origin is 'up', no finite number"),
+        ({"tags": "night"}, "'tags' is no list"),
+        ({"tags": [7]}, "the tag 7 is no text"),
+        ({"tags": [""]}, "the tag '' is no text"),
+        ({"tags": ["two\nlines"]}, "the tag 'two lines' is no text"),
+        ({"tags": ["x" * 101]}, "is no text of 1 to 100 characters"),
         ({"frames": 8}, "describes no scene ('frames')"),
     ],
 )
@@ -320,9 +326,9 @@ def test_a_description_that_cannot_be_is_refused(tiny, change, sentence):
     assert sentence in found
 
 
-def test_a_store_without_an_origin_has_none(tiny):
-    edit(tiny.folder / "scene.json", lambda value: value.pop("origin"))
-    assert Scene(tiny.folder).info == tiny.info
+def test_a_store_without_an_origin_or_tags_has_none(tiny):
+    edit(tiny.folder / "scene.json", lambda value: (value.pop("origin"), value.pop("tags")))
+    assert Scene(tiny.folder).info == dataclasses.replace(tiny.info, tags=())
     assert tiny.info.origin == (0.0, 0.0, 0.0)
 
 

@@ -10,9 +10,10 @@ from baselines.freevs.adapter import Method
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.files import write_json
 from geoevs.core.randomness import Rng
-from geoevs.methods.check import VIRTUAL, contract_failures
+from geoevs.methods.check import contract_failures
 from geoevs.methods.contract import Budget, Views
 from geoevs.methods.tiny import STEP, write_tiny_scene
+from geoevs.methods.trial import VIRTUAL
 from geoevs.scenes.scene import PointCloud
 
 

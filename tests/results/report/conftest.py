@@ -31,7 +31,7 @@ DESCRIBED = {
     "geo-evs": {"name": "Geo-EVS", "paradigm": "diffusion", "needs": "lidar training"},
     "grey": {"name": "Grey", "paradigm": "reconstruction"},
 }
-BLANK = {"extra_prior": "none", "needs": "", "citation": ""}
+BLANK = {"extra_prior": "none", "needs": "", "sees": "views", "citation": ""}
 VALUES = {"mean-colour": 11.0, "reproject": 20.0, "geo-evs": 22.0, "grey": 9.0, "broken": math.nan}
 WORDS = """# Breaking <points>
 

@@ -71,7 +71,13 @@ def run(rows, tmp_path):
         write_bytes(tmp_path / name, frame.to_parquet(index=False))
     config = {"tables": SETTINGS, "methods": {"geo-evs.v1": {"training": "v1"}}}
     config["trainings"] = {"geo-evs": {"steps": 9, "variants": {"v1": {"masks": "none"}}}}
-    who = {"name": "A name", "paradigm": "a paradigm", "extra_prior": "all", "needs": ""}
+    who = {
+        "name": "A name",
+        "paradigm": "a paradigm",
+        "extra_prior": "all",
+        "needs": "",
+        "sees": "views",
+    }
     names = ("geo-evs.v1", "three-dgs")
     write_json(tmp_path / layout.ENTRANTS, dict.fromkeys(names, who))
     write_json(tmp_path / layout.MANIFEST, {"commit": "abc", "seed": 0, "config": config})

@@ -206,7 +206,7 @@ def test_no_map_is_fine(tmp_path, small_segment):
     segment = small_segment.copy()
     segment.map_features = []
     write("v1", tmp_path, segment)
-    assert not Source(64, 96, folder=str(tmp_path)).open(SceneRef(NAME)).extras.map_features
+    assert not Source(64, 96, folder=str(tmp_path)).open(SceneRef(NAME)).extras.road_map
 
 
 def with_fields(small_segment, extra: bytes, folder: Path) -> Path:

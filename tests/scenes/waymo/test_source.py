@@ -176,27 +176,25 @@ def test_zones_and_map_are_kept_where_the_version_has_them(v1_folder, v2_folder)
 
     assert list(extras.no_label_zones) == [0]
     np.testing.assert_allclose(extras.no_label_zones[0][0], ZONE + SHIFT[:2])
-    assert [(feature.kind, feature.shape) for feature in extras.map_features] == [
-        ("lane", "polyline"),
-        ("road_line", "polyline"),
-        ("road_edge", "polyline"),
-        ("stop_sign", "point"),
-        ("crosswalk", "polygon"),
-        ("speed_bump", "polygon"),
-        ("driveway", "polygon"),
-    ]
+    polygons = extras.road_map.polygons
+    # Road edges, stop signs and speed bumps say nothing of the ground.
+    surfaces = ["drivable", "marking", "crossing", "drivable"]
+    assert [polygon.surface for polygon in polygons] == surfaces
     # Features were shifted by their number; points gain the offset to reach the map.
-    lane = np.array([[3, 3, 3], [13, 3, 3], [23, 4, 3]]) + SHIFT - [0.5, -0.25, 0.125]
-    np.testing.assert_allclose(extras.map_features[0].points, lane)
-    assert len(extras.map_features[3].points) == 1
+    line = np.array([[0, 0, 0], [10, 0, 0], [20, 1, 0]]) + SHIFT - [0.5, -0.25, 0.125]
+    np.testing.assert_allclose(polygons[2].rings[0], line + 8)
+    lane = polygons[0].rings[0]
+    assert len(lane) == 6
+    np.testing.assert_allclose(lane[0], line[0] + 3 + [0, 1.8, 0])  # a lane of 3.6 m heads along x
+    np.testing.assert_allclose((lane[:3] + lane[:2:-1]) / 2, line + 3)
     other = read(v2_folder)[0].extras
-    assert not other.map_features
+    assert other.road_map is None
     assert not other.no_label_zones
 
 
 def test_a_map_serves_a_range_that_begins_later(v1_folder):
     opened, _ = read(v1_folder, f"{NAME}@1-1")
-    assert len(opened.extras.map_features) == 7
+    assert len(opened.extras.road_map.polygons) == 4
 
 
 def test_second_returns_are_points_by_option(waymo_folder):
@@ -238,7 +236,7 @@ def test_a_store_is_written_and_read(v1_folder, tmp_path):
     assert scene.info.origin == ORIGIN
     assert not scene.info.redistribute
     assert scene.exposure("front", 0).start < scene.exposure("front", 0).end
-    assert len(scene.map_features) == 7
+    assert len(scene.road_map.polygons) == 4
     assert list(scene.no_label_zones) == [0]
     assert len(scene.synced_tracks) == 2
     assert (scene.points(1).camera >= 0).any()

@@ -16,6 +16,7 @@ from geoevs.scenes.scene import (
     Frame,
     PointCloud,
     Rig,
+    SceneExtras,
     SceneInfo,
     SceneRecord,
     SceneRef,
@@ -28,6 +29,7 @@ from geoevs.scenes.sources.pandaset.calibration import (
     read_pose,
     read_timestamp,
 )
+from geoevs.scenes.sources.pandaset.road_map import read_road_map
 from geoevs.scenes.sources.pandaset.tracks import read_tracks
 from geoevs.scenes.sources.pandaset.unpickle import check_numbers, read_table
 
@@ -41,6 +43,7 @@ RIG_CAMERAS = (RIG.front, RIG.front_left, RIG.front_right)
 # Front to back, left before right; any other camera follows by name.
 CAMERA_ORDER = (*RIG_CAMERAS, "left_camera", "right_camera", "back_camera")
 LICENCE = "CC BY 4.0 with PandaSet's Dataset Terms of Use (Hesai and Scale AI)"
+PARTS = ("camera", "lidar", "annotations/cuboids", "annotations/semseg")
 SENSORS = {0: "Pandar64, which scores methods", 1: "PandarGT, which may condition them"}
 """What the column `d` of a sweep says."""
 
@@ -65,9 +68,9 @@ class Source(RecordedSource):
         self.folder = expanded(folder)
 
     def files(self, scene: SceneRef) -> Iterable[Path]:
-        """The folders of its sensors and boxes."""
+        """The folders of its sensors, boxes and labels."""
         folder = self.folder / scene.name
-        return [folder / part for part in ("camera", "lidar", "annotations/cuboids")]
+        return [folder / part for part in PARTS]
 
     def open(self, scene: SceneRef) -> SceneRecord:
         """Open one sequence; its boxes are read now, its images and sweeps as they are iterated.
@@ -105,6 +108,7 @@ class Source(RecordedSource):
             tracks=read_tracks(folder / "annotations/cuboids", frames, info.origin),
             frames=(self._read_frame(folder, info, frame) for frame in frames),
             frame_count=len(frames),
+            extras=SceneExtras(road_map=read_road_map(folder, frames, places[0], info.origin)),
         )
 
     def _sequence(self, scene: SceneRef) -> Path:

@@ -19,6 +19,7 @@ class Light:
     """The light of one scene; colours are linear RGB.
 
     Args:
+        mood: what people would call it.
         to_sun: unit vector towards the sun.
         sun: radiance of a white surface that faces the sun.
         above, beside, below: ambient radiance of a white surface that faces up, sideways, down.
@@ -30,6 +31,7 @@ class Light:
         haze_distance: metres after which 63 % of the view is haze.
     """
 
+    mood: str
     to_sun: np.ndarray  # [3]
     sun: np.ndarray  # [3]
     above: np.ndarray  # [3]
@@ -99,11 +101,13 @@ MOODS = (
     ((20, 27), (2.2, 1.60, 1.00), (0.26, 0.40, 0.72), (1.05, 0.93, 0.78), 0.36, (0.2, 0.6), 750),
     ((32, 50), (1.2, 1.15, 1.08), (0.50, 0.58, 0.70), (0.82, 0.86, 0.90), 0.46, (0.6, 0.9), 900),
 )
+MOOD_NAMES = ("sunny", "afternoon", "low sun", "overcast")
 
 
 def make_light(rng: np.random.Generator) -> Light:
     """A random time of day and weather."""
-    elevations, *colours, level, covers, haze = MOODS[rng.integers(len(MOODS))]
+    drawn = rng.integers(len(MOODS))
+    elevations, *colours, level, covers, haze = MOODS[drawn]
     elevation, azimuth = np.radians(rng.uniform(*elevations)), rng.uniform(0, 2 * np.pi)
     flat = np.cos(elevation)
     to_sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
@@ -113,6 +117,7 @@ def make_light(rng: np.random.Generator) -> Light:
     warm = sun / (sun @ LUMINANCE)
     grey_lit = 0.2 * (sun @ LUMINANCE * np.sin(elevation) + level)
     return Light(
+        mood=MOOD_NAMES[drawn],
         to_sun=to_sun,
         sun=sun,
         above=above,

@@ -10,7 +10,7 @@ from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.randomness import keyed_rng
 from geoevs.core.settings import Positive, Within
 from geoevs.scenes.camera import Camera
-from geoevs.scenes.scene import Frame, SceneInfo, SceneRecord, SceneRef, Truth
+from geoevs.scenes.scene import Frame, SceneExtras, SceneInfo, SceneRecord, SceneRef, Truth
 from geoevs.scenes.sources.street.buildings import add_buildings
 from geoevs.scenes.sources.street.finishes import make_finishes
 from geoevs.scenes.sources.street.furniture import add_furniture
@@ -36,14 +36,16 @@ class World:
     def __init__(
         self, name: str, interval: float = INTERVAL, traffic_speed: float | None = None
     ) -> None:
-        layout = name.partition("-")[0]
+        self.layout = name.partition("-")[0]
         self.name, self.interval = name, interval
-        self._street = make_street(layout, keyed_rng(name, "street"))
+        self._street = make_street(self.layout, keyed_rng(name, "street"))
         self.light = make_light(keyed_rng(name, "light"))
         self.ego = Ego(self._street, keyed_rng(name, "ego").uniform(8, 12))
         self.actors = make_actors(
             self._street, self.ego.speed, keyed_rng(name, "actors"), traffic_speed
         )
+        self._ground = MeshBuilder()
+        self.road_map = add_ground(self._ground, self._street, keyed_rng(name, "ground"))
         self._stage: Stage | None = None
         self._instants: dict[int, Scenes] = {}
 
@@ -64,8 +66,7 @@ class World:
 
     def _built(self) -> Stage:
         if self._stage is None:
-            still = MeshBuilder()
-            add_ground(still, self._street, keyed_rng(self.name, "ground"))
+            still = self._ground
             gardens = add_buildings(still, self._street, keyed_rng(self.name, "buildings"))
             add_furniture(still, self._street, gardens, keyed_rng(self.name, "furniture"))
             for actor in self.actors:
@@ -152,12 +153,14 @@ class Source:
             rig=RIG,
             cameras=tuple(MOUNTS),
             redistribute=True,
+            tags=(world.layout, world.light.mood),
         )
         return SceneRecord(
             info=info,
             tracks=make_tracks(world.actors, frames, world.interval),
             frames=self._record(world, frames),
             frame_count=len(frames),
+            extras=SceneExtras(road_map=world.road_map),
         )
 
     def truth(self, scene: SceneRef, views: Sequence[tuple[Camera, int]]) -> Iterable[Truth]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.scenes.camera import is_rigid
-from geoevs.scenes.scene import MapFeature
 
 CAMERAS = ("front", "front_left", "front_right", "side_left", "side_right")
 """The cameras, numbered from 1 in the data."""
@@ -114,6 +113,13 @@ class FrameLabels(NamedTuple):
     where: str
 
 
+class MapFeature(NamedTuple):
+    """A piece of Waymo's map: its kind, as map.proto calls it, and (N, 3) float64 metres."""
+
+    kind: str
+    points: np.ndarray
+
+
 class Sensors(NamedTuple):
     """What a frame's cameras and LiDARs recorded, by CAMERAS and LASERS.
 
@@ -144,7 +150,7 @@ class Segment(Protocol):
         ...
 
     def map_features(self) -> list[MapFeature]:
-        """The road map in the world; empty where there is none."""
+        """The pieces of the map that `road_map` takes; empty where there is none."""
         ...
 
 

@@ -12,9 +12,9 @@ from geoevs.core.images import decode_image
 from geoevs.core.names import expanded
 from geoevs.scenes.camera import WORLD_LIMIT, Camera
 from geoevs.scenes.checks import check_info
+from geoevs.scenes.road_map import RoadMap
 from geoevs.scenes.scene import (
     Frame,
-    MapFeature,
     Rig,
     SceneExtras,
     SceneInfo,
@@ -26,6 +26,7 @@ from geoevs.scenes.sources.conventions import RecordedSource
 from geoevs.scenes.sources.waymo.camera import Lens, pinhole, read_exposure
 from geoevs.scenes.sources.waymo.find import open_segment, segment_files
 from geoevs.scenes.sources.waymo.lidar import joined, sweep_points
+from geoevs.scenes.sources.waymo.road_map import road_map
 from geoevs.scenes.sources.waymo.segment import (
     CAMERAS,
     CameraImage,
@@ -97,7 +98,7 @@ class Source(RecordedSource):
         check_info(info, segment.where)
         tracks, synced = read_tracks(labels, info.origin)
         extras = SceneExtras(
-            map_features=_map(segment, first, info.origin),
+            road_map=_read_map(segment, first, info.origin),
             no_label_zones=_zones(labels, info.origin),
             synced_tracks=synced,
         )
@@ -195,16 +196,16 @@ def _zones(
     return zones
 
 
-def _map(
+def _read_map(
     segment: Segment, first: FrameLabels, origin: tuple[float, float, float]
-) -> list[MapFeature]:
-    """The road map where the scene's first frame sees it; empty where the segment has none."""
+) -> RoadMap | None:
+    """The road map where the scene's first frame sees it; None where the segment has none."""
     shift = np.array(origin) + first.map_offset
     features = [
         feature._replace(points=feature.points - shift) for feature in segment.map_features()
     ]
     _check_near([feature.points for feature in features], "the map", segment.where)
-    return features
+    return road_map(features)
 
 
 def _check_near(outlines: Iterable[np.ndarray], what: str, where: str) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from geoevs.core.errors import GeoEvsError, did_you_mean
 from geoevs.core.protobuf import BYTES, VARINT, Message, damaged
 from geoevs.core.text import clean
-from geoevs.scenes.scene import MapFeature
 from geoevs.scenes.sources.waymo.matrices import read_matrix
 from geoevs.scenes.sources.waymo.records import (
     Part,
@@ -34,6 +33,7 @@ from geoevs.scenes.sources.waymo.segment import (
     FrameLabels,
     Label,
     LaserCalibration,
+    MapFeature,
     RangeImages,
     Sensors,
     named,
@@ -47,16 +47,12 @@ CONTEXT_NAME = 1
 DRAWN = (POSE, BOXES, ZONES, OFFSET)
 """Fields of a frame that are neither images nor sweeps."""
 
-MAP_KINDS = {
-    3: ("lane", "polyline", 8),
-    4: ("road_line", "polyline", 2),
-    5: ("road_edge", "polyline", 2),
-    7: ("stop_sign", "point", 2),
-    8: ("crosswalk", "polygon", 1),
-    9: ("speed_bump", "polygon", 1),
-    10: ("driveway", "polygon", 1),
-}
-"""Of a map feature's fields: its kind, its shape, and the field of its points."""
+MAP_KINDS = {3: ("lane", 8), 4: ("road_line", 2), 8: ("crosswalk", 1), 10: ("driveway", 1)}
+"""Of a map feature's fields: its kind, and the field of its points. Road edges, speed bumps and
+stop signs say nothing of what the ground is."""
+
+LANE_TYPE, BICYCLES = 2, 3
+"""The field of a lane's type, and the type of lanes that no car drives on."""
 
 
 def context_name(path: Path) -> str:
@@ -274,10 +270,13 @@ def _zone(message: Message) -> np.ndarray:
 
 
 def _map_feature(message: Message) -> MapFeature | None:
-    """A feature of the map; None of a kind that this version does not know."""
-    for number, (kind, shape, points) in MAP_KINDS.items():
+    """A feature of the map; None of one that is no ground for cars or their drivers."""
+    for number, (kind, points) in MAP_KINDS.items():
         if number in message.fields:
-            corners = message.message(number).messages(points)
+            feature = message.message(number)
+            if kind == "lane" and feature.whole(LANE_TYPE) == BICYCLES:
+                return None
+            corners = feature.messages(points)
             xyz = np.array([[point.double(axis) for axis in (1, 2, 3)] for point in corners])
-            return MapFeature(kind, shape, xyz) if len(xyz) else None
+            return MapFeature(kind, xyz) if len(xyz) else None
     return None

@@ -13,7 +13,6 @@ import numpy as np
 
 from geoevs.core.errors import GeoEvsError
 from geoevs.core.text import clean
-from geoevs.scenes.scene import MapFeature
 from geoevs.scenes.sources.waymo.matrices import shaped
 from geoevs.scenes.sources.waymo.parquet import Table, readable
 from geoevs.scenes.sources.waymo.segment import (
@@ -24,6 +23,7 @@ from geoevs.scenes.sources.waymo.segment import (
     FrameLabels,
     Label,
     LaserCalibration,
+    MapFeature,
     RangeImages,
     Sensors,
     named,
