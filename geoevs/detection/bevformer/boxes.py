@@ -32,15 +32,6 @@ def decoded(
     return np.stack([x, y, z, length, width, height, np.arctan2(sin, cos)], axis=-1)
 
 
-def in_range(
-    boxes: np.ndarray,  # [M, 7]
-    bounds: tuple[float, ...],
-) -> np.ndarray:
-    """(M,) bool: boxes whose centres a detector of this range can say."""
-    low, high = np.array(bounds[:3]), np.array(bounds[3:])
-    return ((boxes[:, :3] >= low) & (boxes[:, :3] <= high)).all(axis=1)
-
-
 def first_code() -> Tensor:
     """(8,) what an untrained detector says besides places: sides of 2, 4 and 1.6 m."""
     code = torch.zeros(CODE)

@@ -8,10 +8,11 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn import functional
 
-from geoevs.detection.bevformer.boxes import encoded, in_range
+from geoevs.detection.bevformer.boxes import encoded
 from geoevs.detection.bevformer.decoder import Found
 from geoevs.detection.bevformer.encoder import Grid
 from geoevs.detection.bevformer.settings import Detector
+from geoevs.detection.labels import inside
 
 CLASS, BOX, HEAT = 2.0, 0.25, 1.0
 """Weights of the losses, and of the costs of a match where it has them."""
@@ -39,7 +40,7 @@ def wanted(
     device: torch.device,
 ) -> Wanted:
     """What a detector of `count` classes is to find: the boxes within its range."""
-    kept = in_range(boxes, detector.range)
+    kept = inside(boxes, detector.range)
     boxes, classes = boxes[kept], classes[kept]
     grid = Grid(detector)
     rows, columns = grid.size

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from geoevs.detection.bevformer.boxes import decoded, encoded, in_range
+from geoevs.detection.bevformer.boxes import decoded, encoded
 from geoevs.detection.bevformer.decoder import Found
 from geoevs.detection.bevformer.losses import (
     detection_losses,
@@ -16,6 +16,7 @@ from geoevs.detection.bevformer.losses import (
     match,
     wanted,
 )
+from geoevs.detection.labels import inside
 
 CPU = torch.device("cpu")
 
@@ -43,7 +44,7 @@ def test_boxes_without_sides_have_finite_codes():
 def test_only_centres_in_range_are_to_be_found(make_frame, detector):
     boxes = np.repeat(make_frame().boxes[:1], 3, axis=0)
     boxes[1, 0], boxes[2, 2] = 20.1, 2.7
-    assert in_range(boxes, detector.range).tolist() == [True, False, False]
+    assert inside(boxes, detector.range).tolist() == [True, False, False]
     target = wanted(boxes, np.zeros(3, int), detector, 2, CPU)
     assert len(target.classes) == len(target.codes) == 1
     assert (target.heat == 1).sum() == 1
