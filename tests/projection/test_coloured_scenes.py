@@ -8,7 +8,7 @@ from geoevs.methods.tiny import tiny_truth, write_tiny_scene
 from geoevs.projection import colour_points
 from geoevs.projection.coloured_scenes import write_coloured_scene
 from geoevs.scenes.depths import read_depths
-from geoevs.scenes.scene import Frame, PointCloud, SceneRecord
+from geoevs.scenes.scene import NO_EXTRAS, Frame, PointCloud, SceneRecord
 from geoevs.scenes.store import Scene
 
 
@@ -29,7 +29,7 @@ def uncoloured_frames(scene):
 
 
 def test_a_store_is_coloured_and_depths_lie_apart(tmp_path):
-    expected = write_tiny_scene(tmp_path / "expected")  # which colours its points itself
+    expected = write_tiny_scene(tmp_path / "expected", extras=NO_EXTRAS)  # points coloured
     steps = []
     record = SceneRecord(expected.info, expected.tracks, uncoloured_frames(expected), 2)
     write_coloured_scene(tmp_path / "s", tmp_path / "d", record, lambda: steps.append(1))

@@ -128,7 +128,9 @@ class EfficientNetMaps(nn.Module):
         enlarged = functional.interpolate(images.cpu(), scale_factor=ENLARGED, mode="bilinear")
         maps, _ = efficientnet.published()(enlarged)
         parts = [
-            functional.interpolate(maps[layer].clone(), size, mode="bilinear", antialias=True)
+            functional.interpolate(
+                maps[layer].permute(0, 3, 1, 2).clone(), size, mode="bilinear", antialias=True
+            )
             for layer in self.LAYERS
         ]
         return torch.cat(parts, dim=1).to(images.device)
