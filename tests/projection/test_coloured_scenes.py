@@ -29,7 +29,7 @@ def uncoloured_frames(scene):
 
 
 def test_a_store_is_coloured_and_depths_lie_apart(tmp_path):
-    expected = write_tiny_scene(tmp_path / "expected", extras=NO_EXTRAS)  # points coloured
+    expected = write_tiny_scene(tmp_path / "expected", extras=NO_EXTRAS)  # as coloured there
     steps = []
     record = SceneRecord(expected.info, expected.tracks, uncoloured_frames(expected), 2)
     write_coloured_scene(tmp_path / "s", tmp_path / "d", record, lambda: steps.append(1))
