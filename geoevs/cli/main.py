@@ -33,11 +33,12 @@ COMMANDS = (
     "adapters",
     "detection",
     "sources",
+    "viewing",
 )
 FOR_PEOPLE = (
     *("why", "compare", "verify", "grid"),
     *("new-adapter", "check-adapter", "new-source", "check-source"),
-    *("export", "export-colmap", "let-ap"),
+    *("view", "export-splats", "export", "export-colmap", "let-ap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 
