@@ -10,8 +10,8 @@ from baselines.gaussians.constants import SH_C0
 from baselines.gaussians.nodes import SceneGraph, Sky
 from geoevs.scenes.splats import Splats
 
-SKY_COUNT = 8192
-"""Gaussians of the sky: 2.2 degrees apart, where a pixel of the sky's map has 1.4."""
+SKY_COUNT = 32768
+"""Gaussians of the sky: 1.1 degrees apart, where a pixel of the sky's map has 1.4."""
 
 SKY_RADIUS = 5000.0
 """Metres to the sky at least: ten metres aside, it is off by a tenth of a degree."""
@@ -19,8 +19,8 @@ SKY_RADIUS = 5000.0
 SKY_BEYOND = 2.0
 """Times as far as the farthest other Gaussian the sky lies, where that is more."""
 
-SKY_OVERLAP = 0.8
-"""Standard deviation of a Gaussian of the sky, in spacings: less than 1 % shines through."""
+SKY_OVERLAP = 0.7
+"""Standard deviation of a Gaussian of the sky, in spacings: little more than 1 % shines through."""
 
 SKY_OPACITY = 0.99
 
