@@ -28,10 +28,11 @@ from geoevs.methods.contract import (
     MaskedAdapter,
     MethodInfo,
     Rendering,
+    SplatsAdapter,
     Views,
 )
 from geoevs.methods.finding import find_methods, make_method
-from geoevs.methods.returned import checked_array, checked_report, checked_rgb
+from geoevs.methods.returned import checked_array, checked_report, checked_rgb, checked_splats
 from geoevs.methods.tiny import HEIGHT, MOUNT, WIDTH, tiny_camera, write_tiny_scene
 from geoevs.scenes.camera import Camera
 
@@ -140,7 +141,11 @@ class Trial:
         if masked := self.render_masked():
             copy = cast(MaskedAdapter, other)
             part = _difference(masked, copy.render_masked(VIRTUAL, FRAME, KEEP))
-            return f"{part} of a masked view" if part else ""
+            if part:
+                return f"{part} of a masked view"
+        if isinstance(self.method, SplatsAdapter):
+            copy = cast(SplatsAdapter, other)
+            return "" if self.method.splats(FRAME).same(copy.splats(FRAME)) else "splats"
         return ""
 
 
@@ -289,6 +294,12 @@ def _check_masked_view(trial: Trial) -> None:
         )
 
 
+def _check_splats(trial: Trial) -> None:
+    if isinstance(trial.method, SplatsAdapter):
+        with _as_in_a_run():
+            checked_splats(trial.method.splats(FRAME))
+
+
 def _check_rendering(rendering: Rendering | None, camera: Camera) -> None:
     with _as_in_a_run():
         checked_rgb(rendering, camera)
@@ -407,6 +418,7 @@ CHECKS: dict[str, Callable[[Trial], str | None]] = {
     "source view": _check_source_view,
     "virtual view": _check_virtual_view,
     "masked view": _check_masked_view,
+    "splats": _check_splats,
     "declared needs": _check_needs,
     "determinism": _check_determinism,
     "save and reload": _check_reload,
@@ -416,6 +428,7 @@ AFTER_FIT = (
     _check_source_view,
     _check_virtual_view,
     _check_masked_view,
+    _check_splats,
     _check_determinism,
     _check_reload,
 )

@@ -63,7 +63,7 @@ class SavedScene:
             label: METHOD or METHOD.VARIANT, with `.seedN` where the seed is another than 0.
 
         Raises:
-            GeoEvsError: no such entrant has a model, or its method is not here any more.
+            GeoEvsError: no such entrant has a model, or its method is gone.
         """
         if label not in self.entrants:
             raise GeoEvsError(
@@ -72,9 +72,11 @@ class SavedScene:
             )
         try:
             return method_class(_method(label))
-        except GeoEvsError as error:
+        except Exception as error:  # its code may be gone, or raise anything
             folder = self._path(layout.MODEL, label)
-            raise GeoEvsError(f"{folder} is of a method that is gone: {error}") from error
+            raise GeoEvsError(
+                f"{folder} cannot be opened without its method: {reason_of(error)}"
+            ) from error
 
     def load(self, label: str) -> Adapter:
         """An entrant as it was fitted to the views of all cameras.

@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import cast
 
-from geoevs.core.errors import GeoEvsError
+from geoevs.core.errors import GeoEvsError, reason_of
 from geoevs.core.files import new_folder, write_json
 from geoevs.methods.contract import SplatsAdapter
+from geoevs.methods.returned import checked_splats
 from geoevs.protocol.saved import SavedScene
 from geoevs.scenes.scene import SceneInfo
 from geoevs.scenes.splats import Splats, write_splats_ply, write_splats_spz
@@ -37,24 +38,25 @@ def export_splats(saved: SavedScene, label: str, out: Path) -> list[str]:
             + (f"of this scene, {', '.join(others)} are" if others else "no entrant here is")
         )
     adapter, scene = cast(SplatsAdapter, saved.load(label)), saved.scene()
-    first = adapter.splats(scene.frames[0])
-    moves = any(not first.same(adapter.splats(frame)) for frame in scene.frames[1:])
+    frames, first = scene.frames, _splats(adapter, label, scene.frames[0])
+    moves = any(not first.same(_splats(adapter, label, frame)) for frame in frames[1:])
     world, sky = _world(scene.info), _sky(label, first.sky)
     about = f"{label} of {saved.dataset}/{saved.name}, made by geoevs export-splats"
-    licence = f"licence of the scene: {scene.info.licence}"
     counts = {}
     with new_folder(out) as partial:
 
         def write(name: str, splats: Splats, when: str) -> None:
+            licence = f"licence of the scene: {scene.info.licence}"
             comments = (f"{about}; {when}", world, sky, licence)
             write_splats_ply(partial / f"{name}.ply", splats, comments)
             write_splats_spz(partial / f"{name}.spz", splats)
             counts[name] = len(splats)
 
-        for frame in scene.frames if moves else ():
-            seconds = f"frame {frame}, {scene.timestamp(frame):g} s"
-            write(f"{frame:06d}", adapter.splats(frame), seconds)
-        if not moves:
+        if moves:
+            for frame in frames:
+                when = f"frame {frame}, {scene.timestamp(frame):g} s"
+                write(f"{frame:06d}", _splats(adapter, label, frame), when)
+        else:
             write(ALL_FRAMES, first, "all frames, since nothing moves")
         if first.sky is not None:
             write(SKY, first.sky, "the sky of all frames")
@@ -64,8 +66,18 @@ def export_splats(saved: SavedScene, label: str, out: Path) -> list[str]:
             **{"world": world, "origin": scene.info.origin, "sky": sky, "gaussians": counts},
         }
         write_json(partial / ABOUT, described)
-    kind = f"{len(scene.frames)} frames" if moves else "all frames in one, since nothing moves"
-    return [f"wrote {out}: {label}, {kind}, each as .ply and .spz", f"{world}", f"{sky}"]
+    kind = f"{len(frames)} frames" if moves else "all frames in one, since nothing moves"
+    return [f"wrote {out}: {label}, {kind}, each as .ply and .spz", world, sky]
+
+
+def _splats(adapter: SplatsAdapter, label: str, frame: int) -> Splats:
+    try:
+        return checked_splats(adapter.splats(frame))
+    except Exception as error:  # a method may raise anything, at a damaged model too
+        raise GeoEvsError(
+            f"the model of '{label}' gives no Gaussians of frame {frame} ({reason_of(error)}); "
+            "fit it again"
+        ) from error
 
 
 def _world(info: SceneInfo) -> str:

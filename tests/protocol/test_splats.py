@@ -25,6 +25,8 @@ class Method:
     def splats(self, frame, far=False):
         rest = np.ones((1, 4)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, 1, 3))
         sky = self.splats(frame, True) if self.sky and not far else None
+        if self.step < 0:
+            return self.step
         place = np.array([[1000.0 if far else self.step * frame, 0.0, 0.0]])
         return Splats(*(np.float32(part) for part in (place, *rest)), sky)
 
@@ -53,6 +55,7 @@ def run(scene, tmp_path, monkeypatch):
     run = tmp_path / "run"
     shutil.copytree(scene, run / layout.SCENE.format(dataset="d", scene="s@0-1"))
     saved = {"mover": "0.5 sky", "mover.still.seed1": "0 none", "mover.damaged": "x none"}
+    saved["mover.odd"] = "-1 none"
     for label in (*saved, "gone.one", "mean-colour", "truth", "mover.failed", "mover.front"):
         folder = run / layout.MODEL.format(dataset="d", scene="s@0-1", label=label)
         sources = "front-side" if label == "mover.front" else "all-cameras"
@@ -113,15 +116,17 @@ def test_where_nothing_moves_one_pair_is_enough_and_an_origin_is_said(geoevs, ru
         ("s@0-1", "movr", "there is no model of 'movr' on d/s@0-1; did you mean 'mover'? (one of"),
         ("s@0-1", "truth", "there is no model of 'truth' on d/s@0-1; one of: gone.one, "),
         ("s@0-1", "mean-colour", "'mean-colour' is not made of Gaussians, so it has none to export;"
-         " of this scene, mover, mover.damaged, mover.failed, mover.front, mover.still.seed1 are"),
-        ("s@0-1", "gone.one", "MODELS/gone.one is of a method that is gone: there is no method "
-         "called 'gone'; one of"),
+         " of this scene, mover, mover.damaged, mover.failed, mover.front, mover.odd, mover.s"),
+        ("s@0-1", "gone.one", "MODELS/gone.one cannot be opened without its method: there is no "
+         "method called 'gone'; one of"),
         ("s@0-1", "mover.failed", "MODELS/mover.failed has no model to open (no points); choose "
          "another entrant of gone.one, mean-colour"),
         ("s@0-1", "mover.front", "MODELS/mover.front has no model to open (it has no fit to "
          "all-cameras); choose"),
         ("s@0-1", "mover.damaged", "MODELS/mover.damaged/all-cameras/model cannot be opened by its "
          "method (ValueError: could not convert string to float: 'x'); fit it again"),
+        ("s@0-1", "mover.odd", "the model of 'mover.odd' gives no Gaussians of frame 0 (splats "
+         "returned a float; return Splats); fit it again"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_exported_is_one_sentence(geoevs, run, name, label, sentence):

@@ -25,7 +25,7 @@ class Pose(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What an entrant made of a pose, or why it made nothing."""
+    """What an entrant made of a pose in how many seconds, or the reason why it made nothing."""
 
     label: str
     rgb: np.ndarray | None  # [H, W, 3] uint8
@@ -96,13 +96,14 @@ class LivePictures:
             return self._changed.wait_for(lambda: self._closed or self._number != done, seconds)
 
     def _picture(self, label: str, pose: Pose) -> Picture:
-        begin = time.perf_counter()
         try:
-            rendering = self._adapter(label).render(pose.camera, pose.frame)
-            rgb = to_uint8(checked_rgb(rendering, pose.camera))
+            adapter = self._adapter(label)
+            begin = time.perf_counter()
+            rendering = adapter.render(pose.camera, pose.frame)
+            seconds = time.perf_counter() - begin
+            return Picture(label, to_uint8(checked_rgb(rendering, pose.camera)), seconds)
         except (Exception, SystemExit) as error:  # a method may raise anything
-            return Picture(label, None, time.perf_counter() - begin, reason_of(error))
-        return Picture(label, rgb, time.perf_counter() - begin)
+            return Picture(label, None, 0.0, reason_of(error))
 
     def _adapter(self, label: str) -> Adapter:
         if label not in self._opened:

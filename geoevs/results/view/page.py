@@ -22,8 +22,11 @@ HOST = "127.0.0.1"
 RECORDED = ("cameras", "lidar", "boxes", "map")
 NOTHING = "nothing"
 
-FRUSTUM, POINT, LINE = 0.6, 0.05, 0.03
-"""Metres: a frustum's length, a point's and a line's width."""
+FRUSTUM, POINT = 0.6, 0.05
+"""Metres: a frustum's length, a point's width."""
+
+LINE = {"thickness": 2.0, "thickness_units": "screen"}
+"""Lines have two pixels of the window, however far they are."""
 
 LOOK = 10.0
 """Metres ahead of the first camera, about which the view turns."""
@@ -85,7 +88,7 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """Where a browser finds the page."""
         return f"http://{HOST}:{self.server.get_port()}"
 
     def __enter__(self) -> Self:
@@ -116,15 +119,13 @@ class Page:
         self.recorded = {
             name: gui.add_checkbox(name, name in ("cameras", "boxes")) for name in RECORDED
         }
-        self.behind = gui.add_dropdown("behind them", [NOTHING, *entrants], initial_value=shown[0])
-        self.shown = {}
-        self.images = {}
+        self.behind = gui.add_dropdown("window", [NOTHING, *entrants], initial_value=shown[0])
         empty = np.full((self._pose.camera.height, self._pose.camera.width, 3), 128, np.uint8)
+        self.images = {
+            label: gui.add_image(empty, label=label, visible=label in shown) for label in entrants
+        }
         with gui.add_folder("entrants"):
-            for label in entrants:
-                self.shown[label] = gui.add_checkbox(label, label in shown)
-        for label in entrants:
-            self.images[label] = gui.add_image(empty, label=label, visible=label in shown)
+            self.shown = {label: gui.add_checkbox(label, label in shown) for label in entrants}
         self.frame.on_update(lambda _: self._to_frame())
         for box in self.recorded.values():
             box.on_update(lambda _: self._show_recorded())
@@ -185,7 +186,7 @@ class Page:
                 self.drawn.append(draw.add_point_cloud("lidar", *points, point_size=POINT))
             lines = {"boxes": lambda: box_lines(scene, frame), "map": lambda: map_lines(scene)}
             for name in lines.keys() & set(asked):
-                self.drawn.append(draw.add_line_segments(name, *lines[name](), thickness=LINE))
+                self.drawn.append(draw.add_line_segments(name, *lines[name](), **LINE))
 
     def _frustum(self, name: str, frame: int) -> "viser.CameraFrustumHandle":
         from scipy.spatial.transform import Rotation  # slow to import
@@ -197,6 +198,7 @@ class Page:
             vertical_fov(camera),
             camera.width / camera.height,
             scale=FRUSTUM,
+            **LINE,
             image=to_uint8(self._scene.image(name, frame)),
             wxyz=np.roll(xyzw, 1),
             position=camera.centre,
