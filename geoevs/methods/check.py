@@ -143,9 +143,10 @@ class Trial:
             part = _difference(masked, copy.render_masked(VIRTUAL, FRAME, KEEP))
             if part:
                 return f"{part} of a masked view"
-        if isinstance(self.method, SplatsAdapter):
-            copy = cast(SplatsAdapter, other)
-            return "" if self.method.splats(FRAME).same(copy.splats(FRAME)) else "splats"
+        mine: Adapter = self.method
+        if isinstance(mine, SplatsAdapter):
+            theirs = cast(SplatsAdapter, other)
+            return "" if mine.splats(FRAME).same(theirs.splats(FRAME)) else "splats"
         return ""
 
 
