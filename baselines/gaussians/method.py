@@ -15,6 +15,7 @@ from geoevs.core.randomness import Rng
 from geoevs.core.settings import AtLeast, AtMost, Count, check_fields
 from geoevs.methods.contract import Budget, FitReport, MethodInfo, Rendering, Views
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.splats import Splats
 
 if TYPE_CHECKING:
     from baselines.gaussians.nodes import SceneGraph
@@ -97,6 +98,12 @@ class GaussianMethod:
             picture = self._graph.draw(camera, frame).picture
         depth = torch.where(picture.opacity > SOLID, picture.depth, 0.0)
         return Rendering(picture.rgb.clamp(0, 1).cpu().numpy(), depth.cpu().numpy())
+
+    def splats(self, frame: int) -> Splats:
+        """The Gaussians of all nodes in a frame, and the sky as some of its own."""
+        from baselines.gaussians.export import scene_splats
+
+        return scene_splats(self._graph, frame)
 
     def save(self, folder: Path) -> None:
         """Write the Gaussians and parameters of all nodes."""

@@ -147,7 +147,14 @@ class Sky:
 
     def seen(self, camera: Camera) -> Tensor:
         """(H, W, 3) the sky in a view, bilinear between its pixels, all around."""
-        grid = torch.from_numpy(_sky_grid(camera)).to(self.colours)[None]
+        return self._at(_sky_grid(camera))
+
+    def towards(self, directions: np.ndarray) -> Tensor:  # [N, 3] of any length but zero
+        """(N, 3) the sky in directions of the world, likewise."""
+        return self._at(_places(*directions.T)[None])[0]
+
+    def _at(self, places: np.ndarray) -> Tensor:  # [H, W, 2]
+        grid = torch.from_numpy(places).to(self.colours)[None]
         around = torch.cat([self.colours[..., -1:], self.colours, self.colours[..., :1]], dim=2)
         columns = self.colours.shape[2]
         grid = grid * grid.new_tensor([columns / (columns + 2), 1])
@@ -241,7 +248,11 @@ def _sky_grid(camera: Camera) -> np.ndarray:
     """(H, W, 2) float32 places in the sky's map, from -1 to 1 across it."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel(), np.ones(rows.size)])
-    x, y, z = camera.world_from_camera[:3, :3] @ np.linalg.solve(camera.K, pixels)
+    directions = camera.world_from_camera[:3, :3] @ np.linalg.solve(camera.K, pixels)
+    return _places(*directions).reshape(camera.height, camera.width, 2)
+
+
+def _places(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:  # [N] each
+    """(N, 2) float32 where directions lie in the sky's map, from -1 to 1 across it."""
     azimuth, elevation = np.arctan2(y, x) / np.pi, np.arctan2(z, np.hypot(x, y)) / (np.pi / 2)
-    grid = np.stack([azimuth, -elevation], axis=1).astype(np.float32)
-    return grid.reshape(camera.height, camera.width, 2)
+    return np.stack([azimuth, -elevation], axis=1).astype(np.float32)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from geoevs.results.settings import TableSettings
 
 Run = Annotated[Path, typer.Option(help="The run's folder, results/<run>.")]
+RunOrFolder = Annotated[str, typer.Argument(help="The run's name, or its folder.")]
 Dataset = Annotated[str, typer.Option(help="The data set's name in the config.")]
 SceneInRun = Annotated[str, typer.Option(help="The scene's name in the config.")]
 SceneFolder = Annotated[Path, typer.Option(help="A scene store.")]
@@ -49,6 +50,11 @@ Steps = Annotated[int, typer.Option(min=1, help="Optimiser steps.")]
 Rate = Annotated[float, typer.Option(help="Peak learning rate of AdamW.")]
 
 EXAMPLES = {dict: "object, such as '{\"steps\": 100}'", list: "list, such as '[1.0, 0.5]'"}
+
+
+def run_folder(run: str) -> Path:
+    """The folder of a run that is named, or given as a path with a slash."""
+    return Path(run) if "/" in run else Path("results") / run
 
 
 def parse_json(option: str, text: str, kind: type = dict) -> Any:

@@ -35,11 +35,12 @@ COMMANDS = (
     "detection_stage",
     "sources",
     "layouts",
+    "viewing",
 )
 FOR_PEOPLE = (
     *("why", "compare", "verify", "grid"),
     *("new-adapter", "check-adapter", "new-source", "check-source"),
-    *("export", "export-colmap", "layout-sheet", "let-ap"),
+    *("view", "export-splats", "export", "export-colmap", "layout-sheet", "let-ap"),
 )
 """The commands that people call, as the help lists them; rules call the others."""
 

@@ -12,11 +12,13 @@ from geoevs.cli.arguments import (
     EntrantsFile,
     Out,
     Run,
+    RunOrFolder,
     Scores,
     SetScores,
     TablesSection,
     parse_json,
     read_rows,
+    run_folder,
     scene_pairs,
     table_settings,
 )
@@ -223,7 +225,7 @@ def why(
     from geoevs.results.why import explain
     from geoevs.results.why_lookup import Cell
 
-    for line in explain(Cell(table, entrant, metric, bin, dataset), _folder(run)):
+    for line in explain(Cell(table, entrant, metric, bin, dataset), run_folder(run)):
         print(printable(line))
 
 
@@ -242,13 +244,13 @@ def compare(
     """
     from geoevs.results.compare import compare_entrants, comparison_text
 
-    difference = compare_entrants(table, first, second, _folder(run), dataset)
+    difference = compare_entrants(table, first, second, run_folder(run), dataset)
     for line in comparison_text(difference, first, second).splitlines():
         print(printable(line))
 
 
 def verify(
-    run: Annotated[str, typer.Argument(help="The run's name, or its folder.")],
+    run: RunOrFolder,
     rescore: Annotated[int, typer.Option(min=0, help="Renders that are scored again.")] = 20,
 ) -> None:
     """Check a run's folder that somebody sent: files, rows, pictures, tables, and some scores.
@@ -257,12 +259,8 @@ def verify(
     """
     from geoevs.results.verify import verification_text, verify_run
 
-    checks = verify_run(_folder(run), rescore)
+    checks = verify_run(run_folder(run), rescore)
     for line in verification_text(checks):
         print(printable(line))
     if any(check.problems for check in checks):
         raise typer.Exit(1)
-
-
-def _folder(run: str) -> Path:
-    return Path(run) if "/" in run else Path("results") / run

@@ -23,9 +23,10 @@ from geoevs.methods.contract import (
     MaskedAdapter,
     MethodInfo,
     Rendering,
+    SplatsAdapter,
 )
 from geoevs.methods.finding import make_method
-from geoevs.methods.returned import checked_array, checked_report, checked_rgb
+from geoevs.methods.returned import checked_array, checked_report, checked_rgb, checked_splats
 from geoevs.methods.tiny import with_hidden_black
 from geoevs.methods.trial import (
     FRAME,
@@ -188,6 +189,12 @@ def _check_joint_views(trial: Trial) -> None:
         _check_rendering(rendering, camera)
 
 
+def _check_splats(trial: Trial) -> None:
+    if isinstance(trial.method, SplatsAdapter):
+        with _as_in_a_run():
+            checked_splats(trial.method.splats(FRAME))
+
+
 def _check_rendering(rendering: Rendering | None, camera: Camera) -> None:
     with _as_in_a_run():
         checked_rgb(rendering, camera)
@@ -294,6 +301,7 @@ CHECKS: dict[str, Callable[[Trial], str | None]] = {
     "virtual view": _check_virtual_view,
     "masked view": _check_masked_view,
     "joint views": _check_joint_views,
+    "splats": _check_splats,
     "declared needs": _check_needs,
     "determinism": _check_determinism,
     "hidden pictures": _check_hidden_pictures,
@@ -305,6 +313,7 @@ AFTER_FIT = (
     _check_virtual_view,
     _check_masked_view,
     _check_joint_views,
+    _check_splats,
     _check_determinism,
     _check_hidden_pictures,
     _check_reload,

@@ -19,6 +19,7 @@ from geoevs.projection import colour_points
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.road_map import RoadMap
 from geoevs.scenes.scene import Frame, PointCloud, Rig, SceneExtras
+from geoevs.scenes.splats import Splats
 from geoevs.scenes.store import Scene, write_scene
 
 ORACLES = ("reference", "truth")
@@ -297,4 +298,13 @@ class MaskedAdapter(Adapter, Protocol):
         keep: np.ndarray,  # [H, W] bool
     ) -> Rendering:
         """As `render`, with the condition map's pixels outside `keep` hidden."""
+        ...
+
+
+@runtime_checkable
+class SplatsAdapter(Adapter, Protocol):
+    """A method whose scene is 3D Gaussians, so that `geoevs export-splats` can write them."""
+
+    def splats(self, frame: int) -> Splats:
+        """What `render` draws in `frame`: what moves is where it is then, in the world."""
         ...

@@ -12,6 +12,7 @@ from geoevs.core.errors import GeoEvsError
 from geoevs.core.text import clean
 from geoevs.methods.contract import FitReport, Rendering
 from geoevs.scenes.camera import Camera
+from geoevs.scenes.splats import Splats
 
 MOST = 2**63
 """Numbers in tables are below this."""
@@ -109,6 +110,17 @@ def checked_together(renderings: object, cameras: Sequence[Camera]) -> Sequence[
             "return one of each, in their order"
         )
     return renderings
+
+
+def checked_splats(splats: object) -> Splats:
+    """The Gaussians that a method returned, which are checked where they are made.
+
+    Raises:
+        GeoEvsError: they are none.
+    """
+    if not isinstance(splats, Splats):
+        raise GeoEvsError(f"splats returned a {type(splats).__name__}; return Splats")
+    return splats
 
 
 def checked_array(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:

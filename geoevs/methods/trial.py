@@ -22,6 +22,7 @@ from geoevs.methods.contract import (
     JointAdapter,
     MaskedAdapter,
     Rendering,
+    SplatsAdapter,
     Views,
 )
 from geoevs.methods.finding import find_methods, make_method
@@ -145,6 +146,10 @@ class Trial:
             for one, view in zip(together, views, strict=True):
                 if part := difference_of(one, view):
                     return f"{part} of views rendered together"
+        mine: Adapter = self.method
+        if isinstance(mine, SplatsAdapter):
+            theirs = cast(SplatsAdapter, other)
+            return "" if mine.splats(FRAME).same(theirs.splats(FRAME)) else "splats"
         return ""
 
 

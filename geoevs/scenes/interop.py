@@ -1,5 +1,6 @@
 """A scene in the formats of other tools: its points as a PLY file, and all of it for COLMAP."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from geoevs.core.files import new_folder, write_bytes, write_text
 from geoevs.core.images import to_uint8
+from geoevs.core.text import clean
 from geoevs.scenes.camera import Camera, view_key
 from geoevs.scenes.scene import PointCloud, Rig
 
@@ -54,22 +56,26 @@ class ThinnedPoints:
         return self._kept
 
 
-def write_ply(path: Path, vertices: np.ndarray) -> None:
-    """Write points as a binary PLY file, little endian: float x, y, z and uchar red, green, blue.
+def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:
+    """Write a table of vertices as a binary PLY file, little endian.
 
     Args:
         path: of the file, whole or not at all.
-        vertices: (N,) of VERTEX.
+        vertices: (N,) of named float32 and uint8 columns, such as VERTEX.
+        comments: of the header, one line each.
     """
     kinds = {"<f4": "float", "|u1": "uchar"}
-    properties = [f"property {kinds[VERTEX[name].str]} {name}" for name in VERTEX.names or ()]
+    names = vertices.dtype.names or ()
+    properties = [f"property {kinds[vertices.dtype[name].str]} {name}" for name in names]
     header = "\n".join(
         (
-            *("ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"),
+            *("ply", "format binary_little_endian 1.0"),
+            *(f"comment {clean(comment)}" for comment in comments),
+            f"element vertex {len(vertices)}",
             *(*properties, "end_header\n"),
         )
     )
-    write_bytes(path, header.encode() + vertices.tobytes())
+    write_bytes(path, header.encode("ascii", "backslashreplace") + vertices.tobytes())
 
 
 def export_colmap(scene: "Scene", out: Path) -> None:

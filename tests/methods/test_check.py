@@ -182,6 +182,39 @@ def test_each_broken_mask_fails_its_check(adapter, kind):
     assert {found[name] for name in ("source view", "virtual view")} == {"passed"}
 
 
+SPLATS = """
+    def splats(self, frame):
+        from geoevs.scenes.splats import Splats
+        rest = np.zeros((1, 3)), np.zeros(1), np.array([[self.colour]])
+        return Splats(np.full((1, 3), 1.0), np.ones((1, 4)), *rest)
+
+    def save("""
+BROKEN_SPLATS = {
+    "another type": ("return Splats(", "return list((", "splats"),
+    "wrong shape": ("np.ones((1, 4))", "np.ones((2, 4))", "splats"),
+    "not finite": ("1.0)", "np.nan)", "splats"),
+    "nondeterministic": ("1.0)", "np.random.rand())", "determinism"),
+    "forgets state": ("1.0)", "self.fill)", "save and reload"),
+}
+
+
+def test_an_adapter_of_gaussians_passes(adapter):
+    assert set(statuses(adapter(GOOD.replace("\n    def save(", SPLATS))).values()) == {"passed"}
+
+
+@pytest.mark.parametrize("kind", BROKEN_SPLATS)
+def test_each_broken_set_of_gaussians_fails_its_check(adapter, kind):
+    old, new, failed = BROKEN_SPLATS[kind]
+    assert SPLATS.count(old) == 1
+    broken = SPLATS.replace(old, new)
+    if kind == "another type":
+        broken = broken.replace("*rest)", "*rest))")
+    text = GOOD.replace("\n    def save(", broken)
+    if kind == "forgets state":
+        text = text.replace("self.colour = rng", "self.fill = 0.5\n        self.colour = rng")
+    assert statuses(adapter(text))[failed] == "failed"
+
+
 def test_undeclared_needs_fail_even_if_the_refusal_is_swallowed(adapter):
     text = GOOD.replace(
         "return FitReport()",
