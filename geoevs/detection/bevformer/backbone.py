@@ -23,8 +23,6 @@ from geoevs.core.networks import (
 )
 from geoevs.core.optimising import fingerprint
 from geoevs.detection.bevformer.settings import BACKBONES, GROUPS, STRIDE, Detector
-from geoevs.diffusion.autoencoder import nano_autoencoder
-from geoevs.diffusion.prior import load_autoencoder
 from geoevs.geometry.vggt import VGGT_NANO, Aggregator, load_vggt
 
 BLOCK = 4
@@ -99,6 +97,8 @@ class AutoencoderMaps(nn.Module):
     """What this suite's autoencoder has before its latents, averaged over 2 x 2 places."""
 
     def __init__(self) -> None:
+        from geoevs.diffusion.autoencoder import nano_autoencoder  # which takes seconds
+
         super().__init__()
         network = nano_autoencoder()
         self.block, self.channels = BLOCK, network.config.block_out_channels[-1]
@@ -176,7 +176,7 @@ class Backbone(nn.Module):
 
 
 def new_backbone(detector: Detector, seed: int) -> Backbone:
-    """An untrained `cnn`."""
+    """An untrained backbone of the kind `cnn`."""
     with seeded(seed, "detector", "backbone"):
         return Backbone("cnn", detector.channels)
 
@@ -197,6 +197,8 @@ def pretrained_backbone(kind: str, weights: Path) -> Backbone:
             trained = load_vggt(weights / "vggt-nano.safetensors").aggregator
             backbone.network.aggregator.load_state_dict(trained.state_dict())
         elif kind == "autoencoder":
+            from geoevs.diffusion.prior import load_autoencoder
+
             encoder = load_autoencoder(weights / "autoencoder.safetensors").network.encoder
             backbone.network.encoder.load_state_dict(encoder.state_dict())
         else:

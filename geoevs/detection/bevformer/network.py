@@ -55,7 +55,7 @@ class BevFormer(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Where the network computes: the device of its weights."""
         return self.encoder.queries.device
 
     def views(self, frames: Sequence[RigFrame | FeatureFrame]) -> Views:
