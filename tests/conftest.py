@@ -42,6 +42,12 @@ which train, fit or render."""
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # New examples each time, and many, and how many of each kind were used or refused:
 # `pytest --hypothesis-profile long tests/test_fuzz.py tests/*/test_fuzz.py`.
+BY_HAND = {
+    "paper": "the paper's rules at its resolution",
+    "detection": "detectors of all settings",
+}
+"""Marks of tests that run when they are asked for alone, and what takes so long."""
+
 LONG = "long"
 settings.register_profile(LONG, max_examples=3000, deadline=None)
 settings.load_profile("repeatable")
@@ -84,8 +90,9 @@ def pytest_terminal_summary(terminalreporter):
 
 def pytest_runtest_setup(item):
     """Skip what takes minutes unless it is asked for, and what needs a GPU where none is."""
-    if item.get_closest_marker("paper") and item.config.option.markexpr != "paper":
-        pytest.skip("the paper's rules at its resolution take minutes; run `pytest -m paper`")
+    for mark, what in BY_HAND.items():
+        if item.get_closest_marker(mark) and item.config.option.markexpr != mark:
+            pytest.skip(f"{what} take minutes; run `pytest -m {mark}`")
     if item.get_closest_marker("cuda"):
         import torch
 

@@ -56,7 +56,8 @@ def scored(stage, attempt, tmp_path):
         shutil.copytree(tmp_path / "renders", answers.renders(entry.label))
         rows = score_method(entry, answers, [1.0], "f")
         rows = [row for row in rows if row["frame"] == 0]
-        sets = score_sets(entry, answers.run, "d", ["s"], 0.95)
+        protocol = {**stage.protocol, "reference_keep": [1.0]}
+        sets, _ = score_sets(entry, answers.run, "d", ["s"], 0.95, protocol)
         return outcomes, rows, cost_rows(entry, answers), sets
 
     return run

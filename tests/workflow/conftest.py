@@ -18,11 +18,11 @@ class Workspace:
     At smoke scale it starts from a copy of the suite's own networks, which it may overwrite.
     """
 
-    EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit", "detection")
+    EVERYTHING = ("tables", "breakdowns", "conditions", "stability", "audit")
     RESUMED = (
         *(
             f"results/smoke/parts/street/junction-201/{label}.scores.parquet"
-            for label in ("mean-colour", "geo-evs", "external")
+            for label in ("mean-colour", "freevs", "external")
         ),
     )
     """What is killed and resumed: a control, a training, a failure, and what they need."""

@@ -18,7 +18,7 @@ PROJECT = Path(__file__).parents[2]
 SMOKE = ("--configfile", "config.yaml", "workflow/scales/smoke.yaml", "networks.yaml")
 APART = ("--executor", "apart", "--jobs", "4", "--latency-wait", "20")
 SPARED = ("slurm", "kubernetes")
-CONTROLS = ("reference", "mean-colour", "reproject")
+CONTROLS = ("reference", "mean-colour")
 
 
 @pytest.fixture
