@@ -45,6 +45,7 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 BY_HAND = {
     "paper": "the paper's rules at its resolution",
     "detection": "detectors of all settings",
+    "cluster": "runs whose jobs are sent elsewhere",
 }
 """Marks of tests that run when they are asked for alone, and what takes so long."""
 

@@ -163,6 +163,7 @@ def test_snakemake_takes_a_profile(apart, monkeypatch, name):
     assert dry.returncode == 0, (dry.stdout + dry.stderr)[-3000:]
 
 
+@pytest.mark.cluster
 def test_a_run_goes_on_when_the_process_that_sends_its_jobs_is_killed(apart):
     whole = yaml.safe_load((PROJECT / "config.yaml").read_text())
     nobody = dict.fromkeys(whole["methods"])
