@@ -1,13 +1,12 @@
 """What was recorded in a frame, as things to draw: cameras, LiDAR points, boxes, the road map."""
 
 import math
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from geoevs.core.images import to_uint8
-from geoevs.scenes.boxes import Box
+from geoevs.scenes.boxes import EDGES, Box
 from geoevs.scenes.camera import Camera
 from geoevs.scenes.store import Scene
 
@@ -20,14 +19,6 @@ UNSEEN = 128
 WIDEST = 4.0
 """Largest ratio of the sides of a picture: a window may be a strip."""
 
-SIGNS = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-EDGES = [
-    (one, other)
-    for one, other in combinations(range(8), 2)
-    if (SIGNS[one] != SIGNS[other]).sum() == 1
-]
-"""Pairs of a box's corners that an edge joins."""
-
 
 class Lines(NamedTuple):
     """Straight lines in the world and the colours of their ends."""
@@ -39,9 +30,7 @@ class Lines(NamedTuple):
 def box_lines(scene: Scene, frame: int) -> Lines:
     """The edges of all boxes of a frame."""
     boxes = Box.rows(scene.tracks[scene.tracks["frame"] == frame])
-    ends = [
-        box.world(SIGNS * np.array([box.length, box.width, box.height]) / 2)[EDGES] for box in boxes
-    ]
+    ends = [box.corners[EDGES] for box in boxes]
     return _lines(ends, [MOVES if box.moving else STANDS for box in boxes])
 
 
