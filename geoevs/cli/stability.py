@@ -11,6 +11,8 @@ from geoevs.cli.arguments import (
     Dataset,
     EntrantsFile,
     FitLimit,
+    MethodName,
+    MethodOptions,
     Out,
     RenderLimit,
     Run,
@@ -24,7 +26,6 @@ from geoevs.cli.arguments import (
 
 Settings = Annotated[str, typer.Option(help="The config's stability section, as JSON.")]
 Group = Annotated[str, typer.Option(help="The stressor, or clean.")]
-Method = Annotated[str, typer.Option(help="The method's name.")]
 Seed = Annotated[int, typer.Option(min=0, help="The run's seed.")]
 
 
@@ -68,14 +69,14 @@ def stability_targets(scene: SceneFolder, settings: Settings, out: Out) -> None:
 
 def stability_render(
     scenes: Annotated[list[Path], typer.Argument(help="What methods are given, by stress.")],
-    method: Method,
+    method: MethodName,
     group: Group,
     settings: Settings,
     targets: Annotated[Path, typer.Option(help="The clean scene's target list.")],
     masks: Annotated[Path, typer.Option(help="The masks that `geoevs references` wrote.")],
     out: Out,
     method_log: Annotated[Path, typer.Option(help="Where the method's own output goes.")],
-    options: Annotated[str, typer.Option(help="The method's own, as a JSON object.")] = "{}",
+    options: MethodOptions = "{}",
     variant: str = "default",
     seed: Seed = 0,
     fit_limit: FitLimit = None,
@@ -96,7 +97,7 @@ def stability_score(
     run: Run,
     dataset: Dataset,
     scene: SceneInRun,
-    method: Method,
+    method: MethodName,
     group: Group,
     settings: Settings,
     out: Out,

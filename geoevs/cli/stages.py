@@ -9,11 +9,13 @@ from geoevs.cli.arguments import (
     Attempt,
     Dataset,
     FitLimit,
+    MethodName,
     Out,
     RenderLimit,
     Run,
     SceneFolder,
     SceneInRun,
+    TargetFile,
     parse_json,
 )
 from geoevs.core.progress import progress_bar
@@ -21,7 +23,6 @@ from geoevs.core.progress import progress_bar
 Source = Annotated[str, typer.Option(help="The scene's data source: street, pandaset, ...")]
 SceneName = Annotated[str, typer.Option(help="The scene: NAME or NAME@FIRST-LAST.")]
 Options = Annotated[str, typer.Option(help="Options as a JSON object.")]
-TargetFile = Annotated[Path, typer.Option(help="The scene's target list.")]
 MaskFile = Annotated[Path, typer.Option(help="The masks that `geoevs references` wrote.")]
 OfOracles = Annotated[str, typer.Option(help="For the controls reference and truth alone.")]
 Size = Annotated[int, typer.Option(min=1, help="Pixels.")]
@@ -134,7 +135,7 @@ def references(
 
 
 def fit(
-    method: Annotated[str, typer.Option(help="The method's name.")],
+    method: MethodName,
     scene: SceneFolder,
     targets: TargetFile,
     out: Out,
@@ -158,7 +159,7 @@ def fit(
 
 
 def render(
-    method: Annotated[str, typer.Option(help="The method's name.")],
+    method: MethodName,
     model: Annotated[Path, typer.Option(help="What `geoevs fit` wrote.")],
     targets: TargetFile,
     masks: MaskFile,
@@ -180,7 +181,7 @@ def render(
 
 
 def score(
-    method: Annotated[str, typer.Option(help="The method's name.")],
+    method: MethodName,
     run: Run,
     dataset: Dataset,
     scene: SceneInRun,
@@ -210,7 +211,7 @@ def score(
 
 
 def score_sets(
-    method: Annotated[str, typer.Option(help="The method's name.")],
+    method: MethodName,
     run: Run,
     dataset: Dataset,
     scenes: Annotated[list[str], typer.Option(help="A test scene of it; repeat for more.")],
